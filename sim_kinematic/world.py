@@ -161,6 +161,7 @@ class World:
             scene_joints=scene_joints,
         )
         self.before, self.start = self.state.copy(), self.state.copy()
+        # paired once: steps change these arrays in place and never replace them
         self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
         self.clips = tuple(
             member.body.clip_for_speed(self.walker.speed_mps) if isinstance(member.body, Humanoid) else -1
@@ -199,15 +200,18 @@ class World:
         """
         rows = np.arange(self.worlds) if rows is None else rows
         self.rest_at(starts, rows)
+        # the first call places all worlds; later ones may replace the floors of some
         if len(self.floors) != self.worlds:
             self.floors = list(floors)
         for w, free in zip(rows.tolist(), floors, strict=True):
             self.floors[w] = free
         self.floor_y = np.array([free.floor_y for free in self.floors])
+        # by identity, as maps have no other equality: worlds share one where they were given the same object
         number = {id(free): k for k, free in enumerate(dict.fromkeys(self.floors))}
         of = np.array([number[id(free)] for free in self.floors])
         self.groups = [(self.floors[g[0]], g) for g in (np.flatnonzero(of == k) for k in np.unique(of))]
         self._uneven = tuple((free, group) for free, group in self.groups if len(free.heights))
+        # a recorded posture belongs to the episode that is over
         self._kept.clear()
         self.blocked[rows] = False
         self.touching[rows] = self._touching(rows)
@@ -227,6 +231,7 @@ class World:
             own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
             if isinstance(own, RobotState) and isinstance(member.body, Robot):
                 own.joints[:] = member.body.rest
+        # the state one step ago too: agents at rest have no velocity in their first observation
         for state in (self.state, self.before, self.start):
             state.put(rows, fresh)
 
@@ -256,6 +261,7 @@ class World:
                     assert isinstance(everywhere, HumanState)
                     everywhere.put(at, command.gait.take(at))
                     continue
+                # numbers of rows copy, unlike the slice: what has moved is put back at the end
                 own, values = everywhere if alone else everywhere.take(rows), command[0][at]
                 if isinstance(own, RobotState):
                     drive_robots(own, self._driven_on(k, free), values, self.bases[k])
@@ -263,6 +269,7 @@ class World:
                 elif isinstance(command, WaypointCommand):
                     walk_humans(own, values, self.walker)
                 elif not isinstance(command, PoseCommand):
+                    # as they stood before the step, so that the order of the agents does not matter
                     others = self._discs_beside(k, self.before.agents)[at] if self._solid else None
                     self.blocked[at, k] = drive_people(
                         own, free, values, self.walker, radius_m=self._person_radius_m, others=others
@@ -364,6 +371,7 @@ class World:
                 raise InputError(
                     f"{member.name} drives: expected DriveCommand, got {type(command).__name__}.", code="H3-SIM-054"
                 )
+            # the shape first: the kernel expects two axes
             if values.shape != (self.worlds, width) or first_not_finite(values) >= 0:
                 infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
                 raise InputError(
@@ -378,6 +386,7 @@ class World:
 
     def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:
         """Discs ``(x, z, radius)`` of all others in a state, [W, N, 3]."""
+        # a lone agent has nobody beside it, and `np.concatenate` takes no empty list
         discs = [np.zeros((self.worlds, 0, 3))]
         for k, (member, was) in enumerate(zip(self.roster, agents, strict=True)):
             if k == agent:
@@ -386,6 +395,7 @@ class World:
                 clip, phase, blend, _, seat = self.posture(k, self.rows)
                 posture = member.body.clip_pose(clip, phase, blend)
                 take_seats(member.body, *posture, seat)
+                # posed at the origin, as `legs_at` takes shins in the frame of the root
                 joints = member.body.joint_matrices(np.tile(IDENTITY_POSE, (self.worlds, 1)), *posture)
                 discs.append(legs_at(np, was.xz, was.heading, shins(joints)))
                 continue
@@ -406,6 +416,7 @@ class World:
     def _keep(self, agent: int, command: RecordedPoseCommand) -> None:
         own = self.state.agents[agent]
         if isinstance(own, HumanState):
+            # before the place is overwritten, from which the distance walked is measured
             own.distance[:] += np.hypot(*(command.xz - own.xz).T)
             own.xz[:], own.heading[:], self._kept[agent] = command.xz, command.heading, command.posture
 
@@ -449,6 +460,7 @@ class _PairContacts:
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
         ]
+        # 1 mm wider than the gate of `touching_many`, which asks by places rounded to float32
         gates = [
             reach[a] + reach[b] if own is None else own.gate_m + 1e-3
             for (a, b), own in zip(pairs, self._of, strict=True)
@@ -482,6 +494,7 @@ class _PairContacts:
         """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
         asked = {k: self._others[near[k, self._others]] for k in np.flatnonzero(near[:, self._others].any(1)).tolist()}
+        # each agent once, however many of its pairs are near
         who = [(k, number) for k, pairs in asked.items() for number in np.unique(self._numbers[pairs]).tolist()]
         frames = self._posed(world, [(int(rows[k]), number) for k, number in who])
         for k, pairs in asked.items():
@@ -495,6 +508,7 @@ class _PairContacts:
         uneven = {int(w): free for free, group in world._uneven for w in group}
         alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for w, number in who:
+            # level floors count as one (None): only their heights differ, which are given row by row
             alike.setdefault((id(self._roster[number].body), id(uneven.get(w))), []).append((w, number))
         frames: dict[tuple[int, int], Array] = {}
         for those in alike.values():

@@ -130,6 +130,7 @@ def measure_sources(
                     name, message, reason = each
                     yield LeftOut(name=name, error=UnmeasurableError(message, reason, code="H3-METRIC-003"))
         return
+    # the cores that this process may use, which taskset or a cpuset may limit
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"Expected at least one worker, got {count}.", code="H3-METRIC-001")
@@ -257,6 +258,7 @@ def _measure_chunk(dataset: Dataset, chunk: range, profile: str | None) -> list[
 def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
+            # bound now: the job may run when the loop is at another source
             yield lambda source=source: _attempts([(str(source), read_log(source))], profile)
             continue
         dataset = open_recording(source)
@@ -299,5 +301,6 @@ def _in_order(
             while waiting:
                 yield from waiting.popleft().result()
         finally:
+            # a reader who stops does not wait for jobs that have not begun
             for future in waiting:
                 future.cancel()

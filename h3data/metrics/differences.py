@@ -42,9 +42,11 @@ class Differences:
     def changed(self, metric: str) -> list[tuple[str, float, float]]:
         """Episodes whose value differs: (episode_id, first, second), largest differences first, undefined ones last."""
         a, b = self.first[metric], self.second[metric]
+        # NaN equals nothing, but undefined in both runs is no change
         rows = np.flatnonzero(~((a == b) | (np.isnan(a) & np.isnan(b))))
         # an episode that only one run defines has no difference: it comes last
         size = np.nan_to_num(np.abs(a[rows] - b[rows]), nan=-1.0)
+        # stable: equal differences stay in the order of the episodes
         order = rows[np.argsort(-size, kind="stable")]
         return [(self.episode_ids[k], float(a[k]), float(b[k])) for k in order]
 

@@ -181,4 +181,5 @@ class Notes:
 
 def first_moments(series: Mapping[str, NDArray[Any]], flags: Iterable[str]) -> dict[str, int]:
     """Returns the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
+    # asked first whether any row holds: of none, argmax is row 0
     return {name: int(np.argmax(series[name])) for name in flags if name in series and series[name].any()}

@@ -13,6 +13,7 @@ class StatsConfig:
     max_dis_human: float = 2.0
     """Geodesic distances within which the person counts as found [m], both inclusive."""
     robot_face_human_threshold: float = 0.5
+    # a constant in Habitat's code, also for tasks of 750 steps (spec/habitat.md 1.6)
     total_steps: int = 1500
     dis_threshold_for_backup_yield: float = 1.5
     """Distance (L2) within which moving back counts as yielding [m], inclusive."""
@@ -28,6 +29,7 @@ class RewardConfig:
     safe_dis_max: float = 2.0
     safe_dis_reward: float = 2.0
     facing_human_dis: float = 3.0
+    # 0.01 in Habitat's yaml; this is the README's and the paper's (spec/habitat.md 1.1)
     facing_human_reward: float = 3.0
     toward_human_reward: float = 1.0
     near_human_bonus: float = -1.0
@@ -43,6 +45,7 @@ class RewardConfig:
 class SuccessConfig:
     """Settings of habitat-lab's ``SocialNavSeekSuccess``."""
 
+    # 500 in Habitat's yaml; this is the README's and the paper's (spec/habitat.md 1.1)
     following_step_succ_threshold: int = 400
     safe_dis_min: float = 1.0
     safe_dis_max: float = 2.0
@@ -63,5 +66,6 @@ class HabitatConfig:
     stats: StatsConfig = field(default_factory=StatsConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     success: SuccessConfig = field(default_factory=SuccessConfig)
+    # -0.01 in Habitat's yaml; this is the README's and the paper's (spec/habitat.md 1.1)
     slack_reward: float = -0.1
     success_reward: float = 10.0

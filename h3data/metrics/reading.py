@@ -56,6 +56,7 @@ def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[
             yield index, recording
             first = index + 1
     except FormatError as error:
+        # read by itself, it is the damaged one
         if len(chunk) == 1:
             yield chunk.start, error
             return
@@ -69,6 +70,7 @@ def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
     start, steps, shard = episodes.start, 0, -1
     for index in episodes:
         row = dataset.rows[index]
+        # an episode of more rows than a chunk is a chunk of its own (index > start)
         full = index - start == _CHUNK or steps + row["length"] > _CHUNK_ROWS
         if index > start and (full or dataset.shard_of(row) != shard):
             yield range(start, index)

@@ -114,6 +114,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
             if ":" in name:
                 continue
             head, _, rest = name.partition(">.")
+            # whose number <robot> is depends on the recording, so the column is read of every agent
             each = [f"agent_{i}.{rest}" for i in range(agents)] if head.startswith("agent_<") else [name]
             names.update(dict.fromkeys(each))
     return list(names)

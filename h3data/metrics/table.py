@@ -72,6 +72,7 @@ class MetricsTable:
             self._summaries[key] = summarize_all(
                 self.metrics, self.columns, confidence=confidence, resamples=resamples, seed=seed
             )
+        # a copy, so that callers cannot change what is kept
         return dict(self._summaries[key])
 
     def notes(self) -> dict[str, dict[str, int]]:

@@ -209,6 +209,7 @@ def make(
     # bodies become names, so that an environment can be pickled and made again by its recipe
     if isinstance(robot, Robot):
         options["robot"] = robot_name(robot)
+    # without None: an option that a task or device does not have is refused, whatever its value
     given = {name: value for name, value in {**options, **task_options}.items() if value is not None}
     return make_env(find_task(task) if isinstance(task, type) else task, scenes, **given)
 
@@ -246,6 +247,7 @@ def make_env(
     env = _make(task, scenes, num_envs, device, agents, render_mode, flatten, dict(options))
     if device is None:
         env.recipe = EnvRecipe(task, scenes, {name: value for name, value in given.items() if value is not None})
+        # environments of PettingZoo have no specification
         if hasattr(env, "spec"):
             env.spec = env.recipe.gymnasium_spec()
     return env
@@ -280,6 +282,7 @@ def _make(
 
     if isinstance(agents, str):
         agents = (agents,)
+    # one world has no autoreset: left among the options, the mode is refused there as unknown
     autoreset_mode = options.pop("autoreset_mode", None) if num_envs is not None else None
     if len(agents) > 1 and num_envs is not None:
         raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
@@ -289,6 +292,7 @@ def _make(
     _require_known(found, WorldStepper, options, [f.name for f in fields(Options)])
     given = {**options, "agents": tuple(agents), "options": Options(**shared)}
     if found.usage.env_rules is not None:
+        # rules that the caller gives win over those that the task has in environments
         given = {"spec": found.usage.env_rules, **given}
     if num_envs is not None:
         from sim_kinematic.envs.vector import TaskVectorEnv, checked_autoreset_mode
@@ -317,6 +321,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     """
     # the signature says which options there are, so that the two never differ
     parameters = inspect.signature(stepper.__init__).parameters.values()
+    # `worlds` and `options` are filled in by `_make`, under other names for the caller
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
     known += [*shared, *task.usage.env_options, "rules", "num_envs", "device", "render_mode", "flatten"]
     for name in options:

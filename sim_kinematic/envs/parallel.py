@@ -61,6 +61,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], Infos]:
         """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``."""
+        # unlike Gymnasium's, environments of PettingZoo have no generator of their own
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, np.random.default_rng()), -1
         self._episode += 1
@@ -77,6 +78,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         Raises:
             InputError: An action is missing or malformed; then nothing has moved.
         """
+        # two empty sets are equal: after the end, no actions would pass for the actions of nobody
         if set(actions) != set(self.agents) or not self.agents:
             raise InputError(
                 f"Expected actions of {', '.join(self.agents) or 'nobody: the episode is over, call reset()'}; got those of "
@@ -86,6 +88,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         reward, terminated, truncated = self.stepper.step({agent: one_row(a) for agent, a in actions.items()})
         ends, stops = bool(terminated[0]), bool(truncated[0])
         each = (dict.fromkeys(self.agents, value) for value in (float(reward[0]), ends, stops))
+        # put together before the agents are dropped, so that everybody gets their last observation
         result = (self._observed(), *each, self._informed())
         # PettingZoo's loops run while there are agents
         if ends or stops:

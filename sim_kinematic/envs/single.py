@@ -34,6 +34,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         self.stepper = stepper
         (self.agent,) = stepper.agents
         self._watcher = DebugRenderer()
+        # `reset` counts up before it begins, so that the first episode is number 0
         self._seed, self._episode = 0, -1
         self.observation_space = stepper.observation_space(self.agent)
         self.action_space = stepper.action_space(self.agent)
@@ -48,6 +49,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         """
         # seeds Gymnasium's own generator, from which a run without a seed gets one
         super().reset(seed=seed)
+        # the first reset begins a run even without a seed
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, self.np_random), -1
         self._episode += 1

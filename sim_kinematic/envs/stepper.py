@@ -130,6 +130,7 @@ class FlatStepper:
     def observe(self, agent: str) -> NDArray[Any]:
         """Return observations of an agent as vectors, [W, D]."""
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
+        # by the space, not by `shown`: Gymnasium sorts the names of a dictionary space
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
         return np.concatenate(rows, axis=1, dtype=space.dtype)
 

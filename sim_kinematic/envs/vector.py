@@ -51,6 +51,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self.render_mode = checked_render_mode(render_mode)
         self.autoreset_mode = checked_autoreset_mode(autoreset_mode)
+        # a dictionary of its own: the class's is shared by all environments
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._attributes: dict[str, tuple[Any, ...]] = {}
         self.stepper = stepper
@@ -77,9 +78,11 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
             InputError: The seeds or the mask do not fit the number of worlds, or some worlds have not begun yet.
         """
         single = seed if isinstance(seed, int | np.integer) else None
+        # Gymnasium's generator takes one seed; those of a list belong to single worlds
         super().reset(seed=None if single is None else int(single))
         listed: Sequence[int | None]
         if single is not None:
+            # the numbering of Gymnasium's own vector environments
             listed = [int(single) + w for w in range(self.num_envs)]
         else:
             listed = [None] * self.num_envs if seed is None else list(seed)  # type: ignore[arg-type]
@@ -105,6 +108,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         chosen = np.asarray(mask)
+        # no numbers of worlds: 0 and 1 would choose other worlds as indices than as truth values
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
             raise InputError(
                 f"Expected a reset_mask of {self.num_envs} truth values, at least one of them true, got {mask!r}.",
@@ -139,8 +143,10 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         reward, terminated, truncated = (
             self.stepper.step({self.agent: actions}) if going.any() else (none, none > 0, none > 0)
         )
+        # after the step, which moves all worlds: begun before it, new episodes would lose their first state
         if again.any():
             self._begin(again)
+        # what the stepper says of a world that begins anew is about its last episode
         reward, terminated, truncated = np.where(going, reward, 0.0), going & terminated, going & truncated
         self._ended = terminated | truncated
         final: dict[str, Any] = {}

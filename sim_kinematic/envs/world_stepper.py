@@ -55,6 +55,7 @@ class Turns:
         self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
         self.steps, self.reward = 0, 0.0
         """Number of simulated steps of the last `go_on`, and the sum of their rewards."""
+        # steps up to the first choice follow from no action, so they and their rewards are not counted
         self.go_on({})
         self.steps, self.reward = 0, 0.0
 
@@ -79,6 +80,7 @@ class Turns:
         while not loop.over:
             number = loop.asked
             if number is None:
+                # nobody is asked after each simulated step, until the next one begins
                 self.steps += 1
                 self.reward += play.reward
                 loop.go_on()
@@ -270,6 +272,7 @@ class WorldStepper:
         for episode in episodes:
             play = WorldRollout.of(self.task, episode, assign(self.task, episode, self._policies(episode)))
             turns.append(Turns(play, list(self.numbers.values())))
+        # the first time all worlds begin, so that each has its own from then on
         self.turns = self.turns or list(turns)
         for w, begun in zip(rows.tolist(), turns, strict=True):
             self.turns[w] = begun
@@ -299,6 +302,7 @@ class WorldStepper:
         for k in self._others:
             for w in rows.tolist():
                 policy = self._walkers[w][k]
+                # only people who turn on the spot keep a way point from step to step
                 if isinstance(policy, WaypointPolicy) and self.spec.human.stride is None:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
@@ -334,6 +338,7 @@ class WorldStepper:
         for agent, action in actions.items():
             number = self.numbers[agent]
             for w in going:
+                # an `Action` of one world stays whole: it is a tuple, which an array would take apart
                 own = action if self.worlds == 1 else np.asarray(action)[w : w + 1]
                 # checked also for agents that are busy: a malformed action is an error whenever it comes
                 choice = self._chosen(number, own)
@@ -355,6 +360,7 @@ class WorldStepper:
             row = np.asarray(action, object)
             return Action(CONTROL, command=tuple(checked_command(row[0] if row.ndim else action, body).tolist()))
         given = np.asarray(action)
+        # `int` would also take 1.5 and True, which are the numbers of no choice
         if given.shape != (1,) or given.dtype.kind not in "iu" or not 0 <= given[0] < len(there):
             shown = given[0] if given.shape == (1,) else action
             raise InputError(
@@ -369,6 +375,7 @@ class WorldStepper:
 
     def _other_command(self, k: int) -> Command:
         """Command of an agent that is not controlled by actions."""
+        # world 0 speaks for all: the partner was chosen once, for every world
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:
             striding = [self._walkers[w][k] for w in range(self.worlds)]
@@ -380,6 +387,7 @@ class WorldStepper:
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
             return WaypointCommand(self._targets[k])
         walkers = [self._walkers[w][k] for w in range(self.worlds)]
+        # the exact type: a subclass may decide by a view
         if all(type(who) is CrowdPolicy for who in walkers):  # they need no view
             team, steps = self.play.team, self.play.steps.tolist()
             moved = [who.move(team.crowds_of(w), k, steps[w]) for w, who in enumerate(walkers)]
@@ -496,6 +504,7 @@ class WorldStepper:
     def _pictures(self, own: ObservationSet) -> Arrays:
         """Return the pictures of an agent in all worlds, [W, ...] each."""
         result: Arrays = {}
+        # depth and ids do not depend on light, so no light is baked for them
         light = self._options.light if own.pictures.in_colour else "flat"
         # worlds of one home share a renderer; with several homes its size would change with each reset
         together = len(self.source.homes) == 1 and not self.task.control.has_skills

@@ -169,6 +169,7 @@ class WorldState(_Arrays):
             people=tuple(HumanState.zeros(worlds) for _ in range(people)),
             object_pose=nowhere,
             held_by=np.full((worlds, objects), NOBODY),
+            # an array of its own: both are changed in place
             grip_pose=nowhere.copy(),
             joint_pos=np.zeros((worlds, scene_joints)),
         )
@@ -185,6 +186,7 @@ class WorldState(_Arrays):
 
     def copy(self) -> WorldState:
         """Copy with arrays of its own."""
+        # by numbers, which copy: a slice would give views
         return self.take(np.arange(self.worlds))
 
     def take(self, worlds: Worlds) -> WorldState:

@@ -93,6 +93,7 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """
     c, s = math.cos(heading), math.sin(heading)
+    # positive angles turn from x towards -z (docs conventions), hence the minus in z
     return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
 
 
@@ -209,6 +210,7 @@ def velocities(action, limits):
     ``limits`` are speed [m/s], lateral speed [m/s], turn rate [rad/s], and the share of the speed allowed backwards.
     Returns ``(speed, lateral, turn)``.
     """
+    # limits[3] is 0 or 1: a base that may not drive backwards stands still instead
     speed = min(max(action[0], -limits[3]), 1.0) * limits[0]
     lateral = min(max(action[2], -1.0), 1.0) * limits[1] if len(action) > 2 else 0.0
     return speed, lateral, min(max(action[1], -1.0), 1.0) * limits[2]
@@ -290,6 +292,7 @@ def drive_robots(
     # before anything moves: the kernels check no bounds
     action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     if free.has_stairs:
+        # `per_world` hands on the caller's own array where it is float64 already
         action = action.copy()
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))

@@ -203,6 +203,7 @@ def stride_step(
             nx, nz, v = x, z, 0.0
     state[0], state[1], state[2], state[3], state[4], state[5] = nx, nz, heading + turn * dt, v, turn, along
     state[6] = off
+    # waiting for somebody is no lack of progress
     state[8] = 0.0 if along > state[7] + PROGRESS_M or not goes else state[8] + 1.0
     state[7] = max(state[7], along)
     # cutting corners has led to where they cannot go on; the path itself is known to be free
@@ -291,9 +292,11 @@ class Strider:
         """
         self._facing = math.nan if facing is None else facing
         path = np.asarray(path, np.float64)
+        # a path of one point becomes a segment without length: the kernels look at two points
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))
         self._cumulative = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
         self._lengths = self._cumulative.tolist()
+        # not 3, 4 and 6: speed, turn rate and sidestep go on from the last path
         self._state[5] = 0.0
         self._state[7:] = 0.0
         self.arrived = False
@@ -305,6 +308,7 @@ class Strider:
         self.arrived = stride_step(
             *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
         )
+        # a copy: the next step changes the state in place
         return state[:2].copy(), float(state[2])
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:

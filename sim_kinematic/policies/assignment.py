@@ -32,6 +32,7 @@ Episode = Any
 
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
+    # by their number among people: the first one walks the same way, whoever else is there
     nth = number - sum(member.kind == "robot" for member in episode.roster)
     seed = episode.seed if nth <= 0 else episode_seed(episode.seed, nth)
     return WaypointPolicy(episode.free, seed, episode.spec.human)
@@ -89,6 +90,7 @@ class AssignedPolicy(NamedTuple):
 
 def is_address(name: str) -> bool:
     """Return whether the name of a policy is the address of a policy server."""
+    # a scheme as in RFC 3986, section 3.1, in lower case; weights:FILE lacks the two slashes
     return re.fullmatch(r"[a-z][a-z0-9+.-]*:(https?:)?//.*", name, re.DOTALL) is not None
 
 
@@ -253,9 +255,11 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     model, plus, words = name.partition("+")
     if name in own:
         found = own[name]
+    # only people of crowds have a role, which the words after the plus describe
     elif plus and model in own and getattr(own[model], "func", None) is _crowd:
         read_role(words)
         found = partial(own[model], words=words)
+    # weights:FILE has a colon too, and is no module
     elif not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
         found = plugins.get(name)
     else:

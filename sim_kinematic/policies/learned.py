@@ -115,6 +115,7 @@ def network_of(policy: str) -> AnyNetwork:
     if not name:
         raise InputError("Expected the path of a file of weights, as weights:FILE.", code="H3-POLICY-013")
     path = Path(found["file"] if found else name)
+    # 0 for a file that is not there: the reader has a message about it
     network = _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
     if found and not network.digest.startswith(found["digest"]):
         raise InputError(
@@ -273,6 +274,7 @@ class VisualNavigation:
             InputError: The network observes pictures, and the view takes none.
         """
         card = self.network.card
+        # the detector too, which is computed from a picture
         pictures = tuple(n for n in card.observations if n not in FOLLOWER)
         shown: dict[str, NDArray[Any]] = dict(read_sensors(view, spec, (n for n in card.observations if n in FOLLOWER)))
         if pictures and view.pictures is None:

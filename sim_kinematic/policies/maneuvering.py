@@ -34,6 +34,7 @@ class Maneuvering:
     def act(self, view: SocialNavView) -> Velocity:
         """Return the function's command, or the next one of a maneuver."""
         wish = self._function(view, self._base)
+        # a robot that waits or backs away may stand still on purpose
         if not self._base.maneuvers or wish.skill not in ("find", "follow"):
             self._still, self._commands = 0, []
             return wish
@@ -43,6 +44,7 @@ class Maneuvering:
         self._still = self._still + 1 if rests else 0
         if float(np.hypot(*(view.human_xz - view.robot_xz))) < NEAR_M:
             self._commands = []
+        # again after every interval: a plan may have found nothing or not led out
         elif self._still and self._still % AVOIDANCE.maneuver_after_steps == 0:
             self._commands = [(forward, turn) for forward, turn in self._plan(view)]
         return Velocity(*self._commands.pop(0), wish.skill) if self._commands else wish

@@ -110,6 +110,7 @@ def _faults(net: Network) -> list[str]:
     if not net.weights or len(net.weights) != len(net.biases):
         return [*faults, f"{len(net.weights)} weights and {len(net.biases)} biases, expected as many, at least one"]
     # from layer to layer: the outputs of one are the inputs of the next
+    # -1 fits no layer: all faults are collected, and none raises here
     width = net.weights[0].shape[1] if net.weights[0].ndim == 2 else -1
     for name in ("mean", "scale"):
         shape = getattr(net, name).shape
@@ -172,6 +173,7 @@ def from_torch(
         observations=tuple(observations),
         weights=weights,
         biases=biases,
+        # one layer has nothing behind it, so its name of an activation makes no difference
         activation="relu" if kinds == {nn.ReLU} else "tanh",
         mean=np.asarray(mean, np.float32),
         scale=np.asarray(scale, np.float32),
@@ -289,6 +291,7 @@ def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
 
     They compress better, by a fifth where the last bits are 0.
     """
+    # little-endian on every machine, as the planes go into files
     planes = np.moveaxis(np.ascontiguousarray(array, "<f4")[..., None].view(np.uint8), -1, 0)
     return np.ascontiguousarray(planes)
 

@@ -103,6 +103,7 @@ class External:
     def interrupts(self, view: Any) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
+        # a command of the lower layer lasts one step, so there is nothing to interrupt
         going_on = action is None or action.skill == "control"
         return "agents_close" if self.interrupts_when_close and view.close and not going_on else ""
 

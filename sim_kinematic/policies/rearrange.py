@@ -105,6 +105,7 @@ class Plan(NamedTuple):
             asked = asked & (passed < count)
             k = xp.where(places == passed[:, None], order, 0).sum(-1)
             tries = tries + (asked & failed)
+            # numbers of places are numbers of objects too: a plan is as long as there are objects
             here = places == k[:, None]
             goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < TRIES)))
             chosen, asked = xp.where(goes, k, chosen), asked & ~goes
@@ -219,6 +220,7 @@ def persons_object(view: RearrangeView) -> int:
     if moved < 0.1:  # they stand: perhaps about to take what is before them
         gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
         return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
+    # who walks straight along the path to an object has shortened it by as much as they moved
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
     best = int(np.argmax(gain))
     return left[best] if gain[best] > 0.5 * moved else -1
@@ -229,6 +231,7 @@ def _complement(view: RearrangeView, left: list[int]) -> int | None:
 
     While the person's target is unknown, it is an object that is farther from the person than from the robot.
     """
+    # nobody else is there, so there is nothing to complement
     if np.isnan(view.other_xz).any():
         return _nearest(view, left)
     theirs = persons_object(view)

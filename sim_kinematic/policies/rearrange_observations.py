@@ -48,6 +48,7 @@ class RearrangeContext:
         self.steps = np.asarray(view.step)
         self.now = Pose(view.xz, np.asarray(view.heading))
         self.before, self.start = (Pose(pose[:2], pose[2]) for pose in (view.before, view.start))
+        # the newest place but one; at the start there is one place only, so the other has not moved
         self.other, self.other_before = Pose(view.other_xz, None), Pose(view.other_track[-2:][0], None)
 
     @property
@@ -110,6 +111,7 @@ class RearrangeContext:
     def ended(self, outcome: Ending) -> Floats:
         """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [C]."""
         view = self._view
+        # only robots have joints of an arm to observe
         known = choices(len(view.objects), robot=len(view.arm) > 0)
         found = np.zeros(len(known))
         if view.last is not None and view.last.outcome == outcome and view.action in known:

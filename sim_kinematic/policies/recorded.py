@@ -100,6 +100,7 @@ class RecordedVelocities:
             )
         names = recording.agents[number].skill_names
         codes = recording.columns.get(f"agent_{number}.skill", np.full(len(recording), -1))
+        # -1 stands for no skill, also where there is no column
         strange = sorted({int(c) for c in codes if not -1 <= c < len(names)})
         if strange:
             raise InputError(
@@ -186,6 +187,7 @@ class RecordedTrack:
                 code="H3-POLICY-047",
             )
         base, *self._motion = (recording.columns[n] for n in names)
+        # recordings may lack arms and seats: then arms swing as in the clip, and nobody sits
         self._arms = recording.columns.get(f"agent_{number}.motion_arms", np.zeros((len(recording), 2), np.float32))
         if self._arms.shape != (len(recording), 2):
             raise InputError(

@@ -75,11 +75,13 @@ class Search:
         if not left:
             return -1
         floor = points[left][:, [0, 2]]
+        # places behind another door or drawer cannot be seen from there
         together = (np.hypot(*(floor[:, None] - floor).transpose(2, 0, 1)) < GROUP_M) & (
             shut[left][:, None] == shut[left]
         )
         gain = together.sum(1).astype(np.float64)
         mine = np.hypot(*(floor - view.xz).T)
+        # NaN: there is no other agent, who might look at some places meanwhile
         if np.isfinite(view.other_xz).all():
             gain *= np.where(np.hypot(*(floor - view.other_xz).T) < mine, THEIRS, 1.0)
         cost = STAND_M + OPENING_M * (shut[left] >= 0)

@@ -63,6 +63,7 @@ _BACKING = np.array([(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, ESCAP
 def _steer(view: SocialNavView, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[float, float]:
     """Return the heading error to ``target_xz`` [rad] and the turn command that removes it in one step, if the limit allows."""
     dx, dz = (target_xz - view.robot_xz).tolist()  # Python floats: a third of the time of NumPy's
+    # minus, as headings turn from x towards -z
     error = float(wrap_angle(np.arctan2(-dz, dx) - view.robot_heading))
     return error, min(max(error / (spec.max_turn_rad_s * STEP_S), -1.0), 1.0)
 
@@ -135,6 +136,7 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 def _straight_back(view: SocialNavView, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
     """Return the commands (forward, turn) that back away if the person is in front, or else turn to them; the error [rad]."""
     error, turn = _steer(view, view.human_xz, spec)
+    # 60 degrees, within which the robot still faces the person (cosine above 0.5)
     return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
 
 
@@ -207,6 +209,7 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
             code="H3-POLICY-062",
         )
     future = view.future()
+    # near the end of an episode the known future is shorter: they stay where it ends
     walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
     if not view.met and view.geodesic_m > REACH_M:
         return _approach(view, spec, _meeting(view, spec, future))
@@ -215,6 +218,7 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the first place [2] on the person's path that the robot can reach before they leave it; else their place."""
+    # to find the person it need only come within `REACH_M` of them
     soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
     in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz
@@ -228,6 +232,7 @@ def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64])
     steps = np.exp2(3.5 + 1.5 * drawn[:, 2])  # 4 to 32
     forward = np.where(np.arange(SAMPLES) % 2, np.sign(drawn[:, 0]), drawn[:, 0])
     then = np.where(np.arange(SAMPLES) % 4 < 2, forward, 0.0)
+    # the row of zeros: to stand still may be best
     commands = np.vstack([_STEERING, _BACKING, np.stack([forward, drawn[:, 1], steps, then], -1), np.zeros((1, 4))])
     ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=STEER_STEPS)
     left, error = _way_left(view.free, walk[STEER_STEPS - 1], ends.xz, ends.heading)

@@ -154,6 +154,7 @@ class Traffic:
     def __init__(self, world: World, row: int, floors: Sequence[FreeSpace]) -> None:
         """``floors`` are the floors on which the agents find their paths in world number ``row``."""
         self._world, self._row, self._step = world, row, -1
+        # a list of rows copies: by a slice, the agents would move in the world itself
         self._state = world.state.take([row])
         self._objects = Objects((), np.zeros((0, 3)), self._state)
         self.actors = [self._actor(number, floor) for number, floor in enumerate(floors)]
@@ -191,6 +192,7 @@ class Traffic:
         """Copy the state that the world has reached, and decide who steps aside in the step that begins."""
         # the world has moved everybody, agents of other policies included
         for mine, theirs in zip(self._state.arrays(), self._world.state.arrays(), strict=True):
+            # in place: the actors' arrays are views of these
             mine[0] = theirs[self._row]
         for actor in self.actors:
             actor.follow(self._state)

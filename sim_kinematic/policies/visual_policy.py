@@ -107,6 +107,7 @@ class CardedNetwork:
     @cached_property
     def _columns(self) -> dict[str, Floats]:
         """The weights by name, [in, out]."""
+        # [in, out] in memory too: the inner loop of `affine` runs along the outputs
         rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
         return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
 
@@ -119,9 +120,11 @@ class CardedNetwork:
     def _remember(self, x: Floats, state: Floats) -> Floats:
         """Return the recurrent state [H] after an input [in], by the formulas of `torch.nn.GRU` (Cho et al. 2014)."""
         given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
+        # torch stacks reset, update and new gate in this order
         (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
         # the logistic function by tanh: exp would overflow for large inputs
         reset, update = 0.5 * (np.tanh(0.5 * (r + kr)) + 1), 0.5 * (np.tanh(0.5 * (z + kz)) + 1)
+        # as in torch, the reset gate acts after the product with the state; in the paper before it
         return ((1 - update) * np.tanh(n + reset * kn) + update * state).astype(np.float32)
 
 
@@ -242,6 +245,7 @@ def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[A
     name = picture_in(card.observations)
     assert name
     assert card.picture_size
+    # cards have the width first, arrays the height
     expected = (*card.picture_size[::-1], PICTURES[name])
     if name not in shown or shown[name].shape != expected:
         got = list(shown[name].shape) if name in shown else "none"
@@ -288,6 +292,7 @@ def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
     _, height, width, _, _ = windows.shape
+    # channel, row, column: the order of flattened weights [out, in, 3, 3]
     return windows.transpose(1, 2, 0, 3, 4).reshape(height * width, -1), (height, width)
 
 
@@ -327,12 +332,14 @@ def picture_length(size: tuple[int, int]) -> int:
     """Return positions that are left after the convolutions of a picture (width, height) [pixels]."""
     width, height = (side // PATCH for side in size)
     for stride in STRIDES:
+        # rounded up, as a window of 3 with a margin of 1 does
         width, height = -(-width // stride), -(-height // stride)
     return width * height
 
 
 def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
     """Return everything in a card and arrays that does not fit together, in words."""
+    # one after the other: the shapes that arrays are compared with follow from a sound card
     if card.network != kind.kind:
         return [f"unknown network {card.network!r}, expected {kind.kind}"]
     known = (*PICTURES, *OF_COMMANDS)

@@ -53,6 +53,7 @@ class WanderPolicy:
     def _goes_on(self, actor: RobotTrafficAgent | WalkingAgent) -> bool:
         """Make the next step to the goal, else to another one; returns whether there was one to make."""
         if self._going is None:
+            # the path to the last goal would else be taken for the one to the next
             actor.path = NO_PATH
             self._going = actor.go_to(self._goals.next_goal(actor.xz))
         try:

@@ -55,6 +55,7 @@ def picture_names(body: Body) -> tuple[str, ...]:
     """
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
+    # robot_arm_rgb takes the colours beside robot_arm (`_lens`): together they are one camera here
     cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]
     names = [f"{camera}_{output}" for camera in cameras for output in ("depth", "rgb")]
     return (*names, *(DETECTORS if ARM in cameras else ()), LIDAR_3D)

@@ -201,6 +201,7 @@ class StateRenderer:
             pairs = zip(self.bodies, state.agents, strict=True)
             frames = [body_frames(body, own, floor, speed_mps=self._speed_mps) for body, own in pairs]
         objects = pose_to_matrix(state.object_pose)
+        # scales columns, as it is mesh coordinates that are scaled, before the rotation
         objects[..., :3, :3] *= self._object_scale
         for w in range(self.worlds):
             self.renderer.set_transforms(self._objects, objects[w], world=w)
@@ -322,6 +323,7 @@ class StateRenderer:
         """
         joints = self._frames[agent]
         eyes = np.array([camera.pose[:3, 3] for camera in cameras]).reshape(-1, self.worlds, 3)
+        # by the nearest joint and the longest focal length: no picture gets less detail than it shows
         apart = np.linalg.norm(joints[:, :, :3, 3] - eyes[:, :, None], axis=-1).min((0, 2))
         focal = max(camera.fx for camera in cameras)
         light = np.array([body.light_enough(focal, float(distance)) for distance in apart])
@@ -350,6 +352,7 @@ def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
     """Return a grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
     import trimesh
 
+    # trimesh's capsules stand along z
     y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     meshes = []
     for shape in shapes:

@@ -42,12 +42,14 @@ def _divided(sensor: Sensor, by: float | None) -> Encoding:
 # --- of commands: networks beside pictures, and of skills (`sim_kinematic.policies.visual_policy`) -----------------------
 def _polar(xp: Any, seen: Any) -> Any:
     """Return the distance [m] and angle [rad], [..., 6]."""
+    # cosine and sine do not jump straight behind the robot, where the angle itself does
     d, a = seen[..., :1], seen[..., 1:]
     return xp.concatenate([d / 5, xp.exp(-d / 2), xp.exp(-d), xp.cos(a), xp.sin(a), a / np.pi], -1)
 
 
 def _spot(xp: Any, seen: Any) -> Any:
     """Return a point [m] divided by `SPEED_MPS`, its direction, and its nearness on two scales, [..., 8]."""
+    # 0.1 m keeps the direction finite at the point itself
     d = xp.sqrt((seen * seen).sum(-1)[..., None])
     return xp.concatenate([seen / SPEED_MPS, seen / (d + 0.1), xp.exp(-2 * d), xp.exp(-8 * d)], -1)
 
@@ -74,6 +76,7 @@ def _polars(xp: Any, seen: Any) -> Any:
 
 def _length(xp: Any, seen: Any) -> Any:
     """Return the length of a path [m], [..., 2]."""
+    # a path that does not exist is `FAR_M` long, an input of 100 if it were not clipped
     return xp.concatenate([seen.clip(None, 30.0) / 10, xp.exp(-seen / 2)], -1)
 
 

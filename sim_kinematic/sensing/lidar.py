@@ -31,6 +31,7 @@ def scan(m: Any, *, legs: bool) -> Any:
     ``m`` is a `sim_kinematic.sensing.table.Context`.
     """
     xp = m.xp
+    # a plain number has neither the dtype nor the device that `arange` is given
     heading = np.asarray(m.now.heading, np.float64) if xp is np else m.now.heading
     turns = xp.arange(LIDAR_RAYS, dtype=heading.dtype, device=heading.device) * (2 * np.pi / LIDAR_RAYS)
     headings = heading[..., None] + turns

@@ -106,6 +106,7 @@ class ObservationSet:
             values, limits = exact[name], self.limits[name]
             if name in self._noise:
                 values = self._with_noise(name, values, seeds, steps)
+            # after the noise, whose models take metres
             if name in self.pictures.names and name.endswith("_depth"):
                 values = scaled_depth(values)
             elif name in self._noise or name in self.states:

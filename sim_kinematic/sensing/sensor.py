@@ -78,6 +78,7 @@ def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
+    # forward is (x, z) on the floor, so left is (z, -x)
     gap, x, z = point_xz - robot_xz, xp.cos(heading), -xp.sin(heading)
     return stacked(xp, gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x)
 
@@ -110,6 +111,7 @@ def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> 
     """
     seen = in_base_frame(robot_xz, heading, point_xz, xp=xp)
     ahead, left = seen[..., 0], seen[..., 1]
+    # minus, as in Habitat, whose angle is -atan2 in a base frame with y to the left (spec/habitat.md 1.5)
     return stacked(xp, xp.hypot(ahead, left), -xp.arctan2(left, ahead))
 
 
@@ -125,6 +127,7 @@ def agents_within_threshold(
     heading: Any,
     other_xz: Any,
     *,
+    # Habitat's half axes; the paper gives 1.5 m without an ellipse (spec/habitat.md 2.1)
     ahead_m: float = 2.0,
     aside_m: float = 1.5,
     xp: Any = np,
@@ -177,6 +180,7 @@ def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float 
         dt: duration of a step [s].
         xp: array namespace.
     """
+    # where the person was stands in for the base, which only lends its axes
     return in_base_frame(before_xz, robot_heading, xz, xp=xp) / dt
 
 
@@ -243,6 +247,7 @@ def egomotion(
     xp: Any = np,
 ) -> Any:
     """Return the velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
+    # by the old heading, along which `integrate` moves, so that a turn adds no part to the left
     moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
@@ -282,6 +287,7 @@ def detect_humanoids(
     if mask.ndim < 2:
         raise InputError(f"Expected pictures [..., H, W] of ids, got shape {list(mask.shape)}.", code="H3-SIM-049")
     rows, columns = mask.any(-1), mask.any(-2)
+    # Habitat fills bbox[rmin:rmax, cmin:cmax], which leaves out the last of each (spec/habitat.md 1.5)
     box = _but_last(rows)[..., :, None] & _but_last(columns)[..., None, :]
     found = mask.sum((-2, -1)) > more_than_pixels
     return Detection(found.astype(np.float32), mask.astype(np.float32), box.astype(np.float32))
@@ -300,6 +306,7 @@ def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
     """Return the cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
     if xp is np:
         gap, heading = _gaps(xz, heading, other_xz)
+        # `[()]` makes a number of an array without axes and leaves others as they are
         return _facing(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape[:-1])[()]
     gap = other_xz - xz
     straight = xp.hypot(gap[..., 0], gap[..., 1])

@@ -76,6 +76,7 @@ class Sight:
             if instance.motion != "static" or instance.name in joints.owner:
                 continue
             asset, matrix = scene.assets[instance.asset], pose_to_matrix(np.asarray(instance.pose, np.float64))
+            # sorted again, as a negative scale swaps the least and the largest bound
             own = [np.sort(np.array(shape_bounds(s, np.eye(4))) * instance.scale, axis=0) for s in asset.shapes]
             if own:
                 whole = np.array([np.min(own, axis=(0, 1)), np.max(own, axis=(0, 1))])
@@ -128,7 +129,9 @@ class Sight:
             eye, left = np.array([x, self._eyes[a], z]), np.flatnonzero(~self.looked[a] & (self.shut < 0))
             count = len(positions)
             seen = self.sees(eye, heading, np.concatenate([positions, self.where[a], self.points[left]]), count)
+            # what an agent holds it knows, wherever it looks
             now, before = seen[:count] & ~self.hidden | (held_by == a), seen[count : 2 * count]
+            # places that it does not know are NaN, and nothing has moved away from them
             with np.errstate(invalid="ignore"):
                 moved = np.linalg.norm(self.where[a] - positions, axis=1) > MOVED_M
             gone = self.known[a] & ~now & before & moved
@@ -156,6 +159,7 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
     A point is hidden if the ray to it passes through one of the `Boxes`, unless it is in or at the furniture of that box.
     """
     ahead_x, ahead_z, least = math.cos(heading), -math.sin(heading), math.cos(HALF_VIEW)
+    # the eye in the axes of each box, once for all points
     start = np.empty((len(centers), 3))
     for b in range(len(centers)):
         for i in range(3):
@@ -177,11 +181,13 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
             cx, cy, cz = cx - along * dx, cy - along * dy, cz - along * dz
             if cx * cx + cy * cy + cz * cz > halves[b, 0] ** 2 + halves[b, 1] ** 2 + halves[b, 2] ** 2:
                 continue
+            # slabs (Kay and Kajiya 1986): a ray is inside a box from its last entry to its first exit
             enters, leaves, about = 0.0, 1.0, True
             for i in range(3):
                 step = turned[b, i, 0] * dx + turned[b, i, 1] * dy + turned[b, i, 2] * dz
                 end = start[b, i] + step
                 about = about and bounds[b, 0, i] - MARGIN_M <= end <= bounds[b, 1, i] + MARGIN_M
+                # a ray parallel to a face would divide by 0
                 step = step if abs(step) >= 1e-9 else 1e-9
                 first, last = (-halves[b, i] - start[b, i]) / step, (halves[b, i] - start[b, i]) / step
                 enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))

@@ -248,6 +248,7 @@ def _flat(m: Context, values: Any) -> Any:
 
 def _polar_of(m: Context, points_xz: Any) -> Any:
     """Return the distance and angle of points [..., n, 2], [..., 2 n]."""
+    # one more axis for the agent, which is one for all of its points
     return _flat(m, gps_compass(m.now.xz[..., None, :], m.now.heading[..., None], points_xz, xp=m.xp))
 
 
@@ -262,6 +263,7 @@ _FLAG: Any = {"low": (0.0,), "high": (1.0,)}
 
 
 def _gps(points: Callable[[Context], Any]) -> Sensor:
+    # x and z by a slice with a step, which arrays and tensors both take as a view
     return Sensor(lambda m: _polar_of(m, points(m)[..., 0:3:2]), **_POLAR, times="objects")
 
 
@@ -414,6 +416,7 @@ OF_SKILLS = (
 # the order of the table counts here: rows up to ``arm_joints`` are those of any agent
 SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
 """Sensors of agents of any task whose agents drive and walk."""
+# those left out need fields that `RearrangeContext` lacks, or are other_velocity by another name
 SENSES = _rows(
     *(
         name

@@ -99,6 +99,7 @@ def encounter_series(
         # the difference to the last row of the episode before is no velocity
         along[starts] = step[starts] = np.nan
     near = series["dist_m"] < thresholds.avoid_m
+    # lengths of steps, not speeds: rows at one time would divide by 0
     backs_up = near & (along < -thresholds.still_m_s * dt)
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = step / dt
@@ -144,6 +145,7 @@ def _found(
     dist = np.sqrt(dx * dx + dy * dy + dz * dz)
     floor_dist = np.sqrt(dx * dx + dz * dz)
     qx, qy, qz, qw = robot[3:]
+    # x and z of the first column of the rotation matrix: agents face along their x axis
     x, z = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qz - qy * qw)
     length = np.sqrt(x * x + z * z)
     # a robot that points straight up faces nobody: its direction on the floor is zero

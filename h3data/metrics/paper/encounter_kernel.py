@@ -85,5 +85,6 @@ def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quanti
             near[k], backs_up[k] = is_near, retreats
             yields[k] = is_near & (not retreats) & (steps[k] < yield_m_s * dts[k])
         xs[0], zs[0], forward_xs[0], forward_zs[0] = xs[count], zs[count], forward_xs[count], forward_zs[count]
+    # the step from the last row of the episode before is no velocity
     for start in starts:
         quantities[3, start], flags[4, start], flags[5, start] = np.nan, False, False

@@ -7,15 +7,18 @@ from typing import Any
 
 from h3data.recording import Recording
 
+# 10 of Habitat's units, the speeds of the paper's agents (spec/habitat.md 0)
 _PACE = {"human.speed_mps": 2.5, "human.turn_rad_s": 2.5, "robot.max_speed_mps": 2.5, "robot.max_turn_rad_s": 2.5}
 PROTOCOL: dict[str, dict[str, Any]] = {
     "social_nav": {
         "max_steps": 1500,
+        # of evaluation; training starts at 3 m
         "spawn_distance_m": 5.0,
         "near_m": 1.0,
         "far_m": 2.0,
         "facing_dot": 0.5,
         "end_on_collision": True,
+        # the two cylinders of v0.3.0, the paper's release; later ones have three (spec/habitat.md 1.1)
         "robot.disc_offsets_m": (0.0, 0.225),
         **_PACE,
     },

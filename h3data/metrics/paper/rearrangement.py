@@ -125,9 +125,11 @@ def rearrangement_series(recording: Recording) -> Series:
     series: dict[str, NDArray] = {}
     if AT_GOAL in recording.columns:
         at_goal = _at_goal(recording)
+        # `all` of no objects is true
         series["done"] = at_goal.all(axis=1) & (at_goal.shape[1] > 0)
         series["at_goal_count"] = at_goal.sum(axis=1).astype(np.float64)
     if SUCCESS in recording.columns:
+        # not astype(bool), which takes NaN for true: imported columns have it where nothing was logged
         series["done"] = recording.columns[SUCCESS] > 0
     if "metrics.collision" in recording.columns:
         series["collision"] = recording.columns["metrics.collision"].astype(np.bool_)
@@ -155,6 +157,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
         if not solved:
             notes.add(("TS",), "the task is not completed")
         if "RE" not in missing:
+            # an episode without success counts E, however early it ended
             values["RE"] = _efficiency(recording, steps if solved else limit, limit, notes)
         elif recording.episode.info.get("participant"):
             notes.add(("RE",), "for people it follows from the estimated means of TS, see h3data report")

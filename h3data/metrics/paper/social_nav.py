@@ -110,6 +110,7 @@ def _joined_series(
         np.concatenate([recording.agent_column(human, "base_pose") for recording, (_, human) in pairs]),
         np.concatenate([reach_distance(recording, *pair) for recording, pair in pairs]),
         np.concatenate([recording.columns["time_ns"] for recording in recordings]),
+        # an episode without rows has no first one: its offset is the next one's, or past the end
         starts=offsets[:-1][np.diff(offsets) > 0],
     )
     contacts = [recording.columns.get(COLLISION) for recording in recordings]

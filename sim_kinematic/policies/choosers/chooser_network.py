@@ -143,6 +143,7 @@ def encoded(
                 each[-1] = each[-1] * (1 - np.asarray(shown["held_by_other"], np.float32))[:, None]
         else:
             rest.append(encoding.of(np, seen[None])[0])
+    # in the order of the names, the last of which is `interrupted`: scores find its columns at the end
     return np.concatenate(each, 1).astype(np.float32), np.concatenate(rest).astype(np.float32)
 
 
@@ -246,6 +247,7 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
     all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, NEEDED)
     known = tuple(name for name in all_names if name in card.observations or name in needed)
+    # the order counts, as it is that of the columns of the weights
     if card.observations != known:
         return [
             f"it is shown {', '.join(card.observations) or 'nothing'}, expected some of {', '.join(all_names)}, in this "

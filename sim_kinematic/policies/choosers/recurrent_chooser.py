@@ -104,6 +104,7 @@ class RecurrentSkillPolicy:
         if action.skill == "nav_to_object" and taken and not self.network.sees:
             return "object_taken"
         since = view.step - self._thought
+        # of no other agent the place is NaN, which is never below
         if since >= ALERT_STEPS and np.hypot(*(view.other_xz - view.xz)) < ALERT_M:
             return "agents_close"
         return "replanned" if since >= self.network.card.hold else ""

@@ -83,6 +83,7 @@ class Crowds:
         # another member of the same number is that of a new episode
         if members.get(number) is not member:
             members[number] = member
+            # a crowd has a fixed number of people: it is made anew with this one in its next step
             self._crowds.pop(member.model, None)
             own = self._world.state.agents[number]
             return PoseAction(own.xz[self._row].copy(), own.heading.item(self._row))
@@ -96,6 +97,7 @@ class Crowds:
         """Move all people who follow one model by one step."""
         w, members = self._row, self._members[model]
         if model not in self._crowds:
+            # people of one world share home, seed and walker, so the first one's stand for all
             people = list(members.values())
             self._crowds[model] = Crowd(
                 people[0].free,
@@ -105,6 +107,7 @@ class Crowds:
                 roles=[person.role for person in people],
                 seed=people[0].seed,
                 stride=people[0].walker.stride,
+                # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
             )
         xz, heading, was_xz, was_heading = (values[w] for values in self._moment())

@@ -129,6 +129,7 @@ class ResNetLSTM(nn.Module):
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
+            # without autocast, weights of 32 bits take no pictures in half precision
             whole = pixels if pixels.is_cuda else pixels.float()
             seen = self.visual(whole.contiguous(memory_format=torch.channels_last))
         return torch.cat([seen.float(), numbers], -1)
@@ -204,6 +205,7 @@ def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else other
 
     sees = picture_in(card.observations)
+    # whole groups: others make GroupNorm raise before the shapes can be compared
     planes = max(rows("visual.first.weight", GROUPS) // GROUPS, 1) * GROUPS
     return ResNetLSTM(
         number_count(card.observations),
@@ -211,6 +213,7 @@ def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
         given=PICTURES[sees or "arm_depth"],
         planes=planes,
         features=max(rows("visual.out.weight", 1), 1),
+        # an LSTM stacks the weights of its four gates
         hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
     )
 

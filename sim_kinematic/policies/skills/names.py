@@ -51,6 +51,7 @@ def recorded_skills(skills: str) -> str:
 def _files_in(folder: Path) -> list[Path]:
     """Return the policy file of a training run, those of the runs in a folder, or the policy files in it."""
     runs = [file for file in (folder / RUN_POLICY, *sorted(folder.glob(f"*/{RUN_POLICY}"))) if file.is_file()]
+    # sorted, because recordings name the files in this order
     files = runs or sorted(folder.glob("*.npz"))
     if not files:
         raise InputError(f"Expected policy files of skills, found none. Folder: {folder}", code="H3-POLICY-053")

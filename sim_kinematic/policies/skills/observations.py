@@ -58,6 +58,7 @@ class SkillContext:
         self._view, self.arm, self.target, self.resting = view, view.arm, view.point, view.resting
         self.now = Pose(view.xz, np.asarray(view.heading))
         self.before = Pose(*view.before)
+        # one object that the agent or nobody holds: `is_holding` asks no more
         self.held_by = np.array([ROBOT if view.holds else NOBODY])
 
     def path(self) -> tuple[Floats, Floats]:

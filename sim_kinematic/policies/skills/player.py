@@ -55,6 +55,7 @@ class NetworkSkill:
                 f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}.",
                 code="H3-POLICY-059",
             )
+        # navigation moves the base alone; picking and placing move arm and grip too
         if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
             raise FormatError(
                 f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.",
@@ -87,6 +88,7 @@ class NetworkSkill:
         network, moves_arm = self.network, self.network.card.task != "skill_nav"
         state, command = network.start(), np.zeros(network.outputs, np.float32)
         before = actor.xz.copy(), actor.heading
+        # one step old where `_ending` reads it: a hand that was never full has dropped nothing
         held = actor.objects.held(actor.number) == action.target
         step = 0
         while step < (self.rules.arm_steps if moves_arm else self.rules.nav_steps):
@@ -112,6 +114,7 @@ class NetworkSkill:
     def _point(self, actor: RobotActor, action: Action) -> Array:
         """Return the point [3] [m] at which the object of an action lies now, or is to be placed."""
         to_object = action.skill in ("nav_to_object", "pick")
+        # a copy, as it lies now: its pose changes once it is taken
         k = action.target
         return (actor.objects.poses[k, :3] if to_object else actor.objects.goals[k]).copy()
 
