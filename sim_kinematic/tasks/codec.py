@@ -175,6 +175,7 @@ class EpisodeCodec(Generic[R]):
         for kind, entry in (("robot", "policy"), ("human", "partner")):
             count = sum(agent.kind == kind for agent in recording.agents)
             listed = str(info.get(entry) or self.task.defaults[kind]).split(",")
+            # a single name stands for all agents of the kind
             names += listed * count if len(listed) == 1 else listed
         return names
 
@@ -288,6 +289,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         info, agents = recording.episode.info, recording.agents
         require_info(recording, "spec", "starts")
         try:
+            # empty entries give the paper's base and walker, where the spec's defaults are the natural ones
             spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, self.task.Spec)
             starts = np.array(msgspec.convert(info["starts"], list[Start]), np.float64)
         except (msgspec.ValidationError, TypeError) as fault:
@@ -322,6 +324,7 @@ def scene_attachment(scene: Scene) -> tuple[bytes, str]:
 
 def uid_of(what: str) -> str:
     """Return the identity of a recording, derived from a text that names all its inputs."""
+    # uuid5 is a digest of the text: neither time nor chance is in it
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
 
 
@@ -351,6 +354,7 @@ def recorded_roster(agents: Sequence[Agent]) -> tuple[AgentSpec, ...]:
         make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents]),
         [a.kind for a in agents],
     )
+    # make_roster puts robots first: in another order, columns would be those of other agents
     if list(kinds_of(roster)) != kinds:
         raise InputError(f"Expected robots, then people, got: {kinds}.", code="H3-TASK-024")
     return roster
@@ -362,6 +366,7 @@ def require_on_floor(starts: Array, free: FreeSpace, count: int) -> None:
     Raises:
         InputError: The starts are not ``count`` finite places on the free floor.
     """
+    # nothing is moved onto the floor here: recordings keep starts exactly, only files round them
     if starts.shape != (count, 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
         raise InputError(
             f"Expected starts on the free floor for {count} agents, got: {starts.tolist()}.", code="H3-TASK-027"
@@ -375,6 +380,7 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
         InputError: The rules are none of this kind.
     """
     try:
+        # empty entries give the paper's base and walker, where the spec's defaults are the natural ones
         spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
     except (msgspec.ValidationError, InputError) as fault:
         raise InputError(
@@ -399,6 +405,7 @@ def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
     off = ~free.is_navigable(places[:, :2])
     if off.any():
         places[off, :2] = free.snap(places[off, :2], max_distance_m=SNAP_M)
+    # snap gives NaN where no floor is near enough
     if np.isnan(places).any():
         raise SceneError(
             "Starts of the episode are not on the free floor of this scene. Expected the scene for which the episode was "

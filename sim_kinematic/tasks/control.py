@@ -232,6 +232,7 @@ class VelocityControl(Control):
         for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
             policy = assigned.policy
             if member.kind == "robot" or k in commands:
+                # the policy that drove so far is asked about the past, to have its memory; a new one is not
                 first = until if changed and changed[k] else min(since, until)
                 policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
             elif policy is None:

@@ -130,9 +130,11 @@ def rules_dict(spec: Any) -> dict[str, Any]:
     if rules.get("person_contact") == "body":
         del rules["person_contact"]
     for name in ("solid_agents", "floor_moves", "skills", "oracle"):
+        # True stands for specs that lack the rule and have nothing to leave out
         if not rules.get(name, True):
             del rules[name]
     human = rules.get("human")
+    # None is the neutral value, the ellipsis stands for no entry at all
     if isinstance(human, dict) and human.get("stride", ...) is None:
         del human["stride"]
     return rules
@@ -153,6 +155,7 @@ def with_options(spec: Any, **options: Any) -> Any:
                 code="H3-TASK-001",
             )
         spec = replace(spec, **sets[rules])
+    # after the set of rules, which may bring a walker of its own
     if speed is not None:
         spec = replace(spec, human=replace(spec.human, speed_mps=speed))
     known = [field.name for field in fields(spec) if field.init]

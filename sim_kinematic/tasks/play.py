@@ -106,6 +106,7 @@ class WorldRollout:
             walker=spec.human,
             person_radius_m=spec.agent_radius_m,
             solid=getattr(spec, "solid_agents", False),
+            # a household finds out itself who touches whom
             contact=not task.control.has_skills,
             objects=objects,
             scene_joints=scene_joints,
@@ -177,10 +178,12 @@ class WorldRollout:
                 "agents.",
                 code="H3-TASK-080",
             )
+        # the first call begins all worlds, so the list has its full length from then on
         if not self.episodes:
             self.episodes = list(episodes)
         for w, episode in zip(rows.tolist(), episodes, strict=True):
             self.episodes[w] = episode
+        # places first: tasks measure from them when they begin
         self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
         self.steps[rows] = 0
         self.team.begin(rows)
@@ -204,6 +207,7 @@ class WorldRollout:
         if not self.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         self.team.move(commands)
+        # before it is judged: tasks find the number of steps made, this one included
         self.steps += 1
         outcome = self.task.judge(self)
         # the first outcome is always checked, the others where rewards are used
@@ -227,6 +231,7 @@ class WorldRollout:
         self, flags: NDArray[np.bool_], kind: str, *, agent: int = -1, target: str = ""
     ) -> list[tuple[int, Event]]:
         """Return an event of this step for each world where a flag [W] is set, as `StepOutcome.events` takes them."""
+        # the step is counted already, and events number steps from 0
         worlds = np.flatnonzero(flags).tolist()
         return [(w, Event(step=int(self.steps[w]) - 1, agent=agent, kind=kind, target=target)) for w in worlds]
 
@@ -332,6 +337,7 @@ class WorldRollout:
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
         """Return columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
+        # a row is the state after its step, so the first one is not at time 0
         result: Columns = {"time_ns": np.arange(first + 1, first + len(snapshots) + 1, dtype=np.int64) * STEP_NS}
         own, places, contact = self.team.columns([row[0] for row in snapshots])
         touched: Columns = {}
@@ -366,6 +372,7 @@ def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Column
     columns: Columns = {"metrics.collision": np.asarray(touching.any(axis=1))}
     first = kinds.index("robot") if "robot" in kinds and len(kinds) > 2 else -1
     if first >= 0:
+        # the sum of a pair less one of its numbers is the other number
         mine = [(sum(pair) - first, n) for n, pair in enumerate(combinations(range(len(kinds)), 2)) if first in pair]
         for name, kind in (("people", "human"), ("robots", "robot")):
             if chosen := [n for other, n in mine if kinds[other] == kind]:

@@ -93,6 +93,7 @@ class RecordedSensors:
         self._types: dict[str, type] = {}
         for k in self._robots:
             known = AgentSensors.of(task, roster[k], objects=0)
+            # of all pictures only laser scans become columns
             known = known._replace(pictures=known.pictures & {LIDAR_3D})
             known.check(self._names)
             for name in self._names:
@@ -118,6 +119,7 @@ class RecordedSensors:
     def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
         """Return the sensors that a recording holds, None if there are none; raises as the constructor does."""
         told = recording.episode.info.get("sensors")
+        # info comes from a file and may hold anything
         found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
         names = dict.fromkeys(str(facts.get("sensor")) for facts in found if isinstance(facts, dict))
         return cls(task, roster, tuple(names)) if names else None
@@ -196,6 +198,7 @@ class Recorder:
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
         """Return the whole recording, with what is known only at the end; closes the sink."""
+        # first, as it ends running skills, whose spans are taken down below
         self.play.finish()
         columns = self.columns()
         self._take()
@@ -361,7 +364,9 @@ def _agent(task: Task, member: AgentSpec) -> Agent:
         name=member.name,
         kind="human",
         model=f"humanoid/{member.model}",
+        # Habitat's id of people, whose pixels its detector counts
         semantic_id=100,
+        # people with skills are recorded joint by joint, so they have no clips to name
         motion_names=tuple(clip.name for clip in body.clips) if not task.control.has_skills else (),
         skill_names=skills,
     )
@@ -374,11 +379,13 @@ def skill_spans(columns: Mapping[str, NDArray[Any]], agents: Sequence[Agent]) ->
         codes = columns.get(f"agent_{index}.skill")
         if codes is None or not len(codes):
             continue
+        # a value unlike the first, so that the first row begins a run
         starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
         ends = np.append(starts[1:], len(codes)) - 1
         spans += [
             SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
             for a, b in zip(starts, ends, strict=True)
+            # -1 is a step in which the agent reports no skill
             if codes[a] >= 0
         ]
     return tuple(spans)

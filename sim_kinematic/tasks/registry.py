@@ -10,6 +10,7 @@ from h3data.plugins import Registry
 from sim_kinematic.tasks.task import Task
 
 BUILT_IN = {
+    # as text, so that a task is imported only when it is looked up
     "social_nav": "sim_kinematic.tasks.social_nav:SocialNav",
     "rearrange": "sim_kinematic.tasks.rearrange.task:Rearrange",
     "wander": "sim_kinematic.tasks.wander:Wander",

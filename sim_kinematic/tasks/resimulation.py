@@ -135,6 +135,7 @@ def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str]
             return Difference(step=0, column=name, recorded=next(kinds), simulated=next(kinds))
         # by bits, so that NaN equals NaN, and 0.0 does not equal -0.0
         differ = np.flatnonzero(_bits(theirs) != _bits(ours)) if theirs.size else np.zeros(0, int)
+        # elements of a row follow each other, so the index over the width is the row
         step = int(differ[0]) // (theirs.size // rows) if len(differ) else rows
         if step < (rows if first is None else first.step):
             first = Difference(step=step, column=name, recorded=_text(theirs[step]), simulated=_text(ours[step]))
@@ -146,6 +147,7 @@ def _bits(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _text(values: NDArray[Any]) -> str:
+    # all digits, as numbers may differ in the last bit alone
     return np.array2string(np.asarray(values), max_line_width=10_000, threshold=12, floatmode="unique")
 
 
@@ -158,6 +160,7 @@ def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene,
 
 def is_counterfactual(recording: Recording) -> bool:
     """Return whether its person does not react."""
+    # recordings of people who react have no such entry
     return recording.episode.info.get("human_reactive") is False
 
 
@@ -172,6 +175,7 @@ def header_from(recording: Recording, what: str) -> RecordingHeader:
     episode = replace(
         old,
         uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")),
+        # this version writes the new recording, whichever wrote the old one
         schema_version=SCHEMA_VERSION,
         created_by=f"h3data {own_version()}",
         info={k: v for k, v in old.info.items() if k not in _OF_THE_RUN},

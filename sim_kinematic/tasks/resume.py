@@ -69,6 +69,7 @@ def task_of(recording: Recording) -> Task:
     try:
         with names_from_data():
             return find_task(name)
+    # also an InputError, but its cause is trust and not a task that is missing
     except UntrustedNameError:
         raise
     except InputError as fault:
@@ -132,6 +133,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
         )
     assigned = assign(task, episode, {} if people is None else {"human": people})
     own = [
+        # robots repeat recorded decisions, so their policies need not be at hand
         mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
         for mine, name in zip(assigned, named, strict=True)
     ]
@@ -216,6 +218,7 @@ def added_time(recording: Recording) -> list[AddedTime]:
             f"{', '.join(one.name for one in policies)}.",
             code="H3-TASK-081",
         )
+    # by the rules of wander, which need no robot and end nothing before the time limit
     play = WorldRollout.of(Wander(), episode.only(*people), alone, measure=False)
     run(play, steps=len(recording))
     rows = []
@@ -225,6 +228,7 @@ def added_time(recording: Recording) -> list[AddedTime]:
             for events, number in ((recording.events, k), (play.events, p))
         )
         pairs = list(takewhile(lambda pair: pair[0][1] == pair[1][1], zip(here, there, strict=False)))
+        # the first event is the departure from the start, which is no goal
         late = (pairs[-1][0][0] - pairs[-1][1][0]) * recording.episode.dt_ns * 1e-9 if len(pairs) > 1 else None
         rows.append(AddedTime(recording.agents[k].name, max(len(pairs) - 1, 0), late))
     return rows
@@ -236,6 +240,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     task, episode = _restored(recording)
     codec = task.codec
     codec.check_changes(recording, chosen)
+    # who plays does not change these facts, so the recorded ones save computing them again
     codec.load_precomputed(episode, recording.episode.info)
     assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
     named = codec.policy_names(recording)
@@ -267,6 +272,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         info |= {**codec.final_info(episode, played.play, assigned), **codec.precompute(episode)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
+    # the uid comes from it: the same change to the same recording gives the same one
     label = ":".join([what, str(step), *names])
     header = header_from(recording, label)
     return finished(header, played.columns, info, played.skills, played.events, played.inputs)
@@ -299,6 +305,7 @@ class _Played:
         try:
             if most:
                 run(self.play, recorder, steps=most, progress=keep)
+        # no error: the run took another course, and the comparison tells where it ended
         except NotRecorded as fault:
             unrecorded = str(fault)
         self.ended = unrecorded or self.play.ended
@@ -312,6 +319,7 @@ class _Played:
             event for event in recording.inputs if event.time_ns < since * recording.episode.dt_ns
         )
         if keeps_people:
+            # `ended` begins as max_steps, so here the track was over before the time
             if self.ended == "max_steps" and rows < episode.spec.max_steps:
                 self.ended = "track_end"
             self._keep(task, recording, rows)
@@ -344,6 +352,7 @@ class _Played:
 
 def _is_kept(column: str, people: Sequence[int]) -> bool:
     """Return whether a column of people who keep their tracks is the recorded one. What they hold is simulated again."""
+    # in social_nav these are the goal and the leg of the person's script
     if column.startswith("sim."):
         return True
     return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
@@ -358,6 +367,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
         )
     task = task_of(recording)
     require(recording, columns=task.control.needed_columns(recording))
+    # before it is restored, as another file of its robot may give other states
     check_recorded_robots(recording)
     file = recording.attachments["scene.glb"]
     with names_from_data():
@@ -391,6 +401,7 @@ def _assigned(
         except H3DataError as fault:
             if choice is not None:
                 raise
+            # people on their tracks ask no policy, so theirs may be missing
             if strict and not (keeps_people and member.kind == "human"):
                 entry = "policy" if member.kind == "robot" else "partner"
                 raise InputError(

@@ -127,6 +127,7 @@ def run(
 
     ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
     """
+    # a DecisionLoop plays the first step as soon as it is made
     if steps == 0:
         return play.ended
     turns, policies, done = DecisionLoop(play), play.policies, 0
@@ -143,6 +144,7 @@ def run(
             recorder.add()
         if progress is not None:
             progress(1)
+        # before go_on, which would play the next step
         if done == steps:
             break
         turns.go_on()
@@ -185,6 +187,7 @@ def simulate(
     recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
     try:
         run(play, recorder, progress=progress, note=partial(_record, task, recorder))
+        # later entries win: the caller knows better than policies, and these than the task
         return recorder.finish(
             {**task.codec.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})}
         )
@@ -385,6 +388,7 @@ class Session:
                 f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.",
                 code="H3-TASK-047",
             )
+        # not made before: it plays at once, and the first commands must have come
         if self._turns is None:
             self._turns = DecisionLoop(self.play)
         else:
@@ -425,6 +429,7 @@ class Session:
         ``info`` is recorded too: entries that the caller knows only now.
         """
         if self._closed is None:
+            # `ended` begins as max_steps, which would be wrong for a session that stops early
             if not self.play.over:
                 self.play.ended = "closed"
             found = self.task.codec.final_info(self.episode, self.play, self.policies)

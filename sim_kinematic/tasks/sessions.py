@@ -127,4 +127,5 @@ def _sink(
 ) -> Callable[[RecordingHeader], Sink] | None:
     if record is None:
         return None
+    # opened only with a header: a wrong policy or a home without room leaves no file behind
     return lambda header: RecordingWriter(Path(record), header, overwrite=overwrite, share_in=share_in)

@@ -101,6 +101,7 @@ class EpisodeSource:
             home = self.homes[self.home_of(run, index)]
             try:
                 return _sampled(self.task, home.scene, home.free, episode_seed(run, index), self.spec, self.roster)
+            # only for lack of room: wrong input would fail in every home
             except SceneError as error:
                 fault = error
         assert fault is not None
@@ -108,6 +109,7 @@ class EpisodeSource:
 
     def prepare(self, runs: Sequence[tuple[int, int]]) -> None:
         """Make the homes of some episodes; a progress bar shows how far it is."""
+        # each home once, in the order in which the episodes need them
         numbers = dict.fromkeys(self.home_of(seed, index) for seed, index in runs)
         missing = [self.homes[k] for k in numbers if not self.homes[k].is_ready]
         if not missing:

@@ -132,6 +132,7 @@ class Task:
             # an old hook would never be called, and the task would play by the defaults
             if old in vars(cls):
                 raise H3DataError(f"The member {cls.__name__}.{old} of a task is {new} now.", code="H3-TASK-070")
+        # not hasattr: a subclass of a task with a name gets one of its own
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 

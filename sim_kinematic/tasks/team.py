@@ -229,6 +229,7 @@ class MotionTeam(Team):
                 distance = own.distance.item(0)
                 walks = distance > was.distance.item(0)
                 code = words.index("walk" if walks else "turn") if words else -1
+                # a walk begins anew where the person set off, so the clip's phase counts from there
                 since = distance - own.set_off.item(0)
                 numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), *own.seat[0].tolist(), code)
         return numbers
@@ -240,6 +241,7 @@ class MotionTeam(Team):
         places, contact, at = [], [], 0
         for k, member in enumerate(self.play.world.roster):
             agent, body = f"agent_{k}.", member.body
+            # as many numbers as `snapshot` writes for a robot, and for a person
             own = numbers[:, at : at + (7 if isinstance(body, Robot) else 10)].T
             at += len(own)
             xz = np.stack([own[0], own[1]], -1)
@@ -247,6 +249,7 @@ class MotionTeam(Team):
             result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
             if isinstance(body, Robot):
                 contact.append(own[3].astype(np.bool_))
+                # arms of robots that only drive stay at rest
                 result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))
                 result[agent + "action"] = np.stack([own[4], own[5]], -1).astype(np.float32)
             else:

@@ -86,6 +86,7 @@ class Wander(Task):
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
         """Sample random starts from this task's own random stream."""
         free = common_floor(roster, free)
+        # the stream keeps this name, as under another one every seed would give other starts
         starts = sample_starts(scene, free, seed, spec, roster, "agent_worlds")
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts)
 
@@ -98,6 +99,7 @@ class Wander(Task):
         """Report each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
         world = play.world
         events = [
+            # the step is counted before it is judged, and events number steps from 0
             (int(w), Event(step=int(play.steps[w]) - 1, agent=a, kind="collision", target=world.roster[b].name))
             for w, p in zip(*np.nonzero(world.touching & ~play.memory), strict=True)
             for a, b in [world.pairs[p]]

@@ -103,6 +103,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
             rules=rules_to_json(episode.spec),
             instruction=episode.wording,
         )
+        # where somebody edits the entry, the digest differs, and the identity names its places too
         if episode.is_sampled:
             record = msgspec.structs.replace(record, sampled_sha256=content_digest(record))
         return record
@@ -158,9 +159,11 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             with_body(place.human, record.human.removeprefix("humanoid/")),
         )
+        # the user may name any robot, a file only those that are built in, installed or trusted
         with nullcontext() if place.robot else names_from_data():
             robot = load_robot(pair[0])
         roster = make_roster(place.agents or PAIR, robot=pair[0], human=pair[1])
+        # the pair's robot too, even if it does not play: places and starts are sampled by its reach
         for body in (robot, *(member.body for member in roster)):
             if isinstance(body, Robot):
                 body.require_arm()
@@ -170,6 +173,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         if record.placements:
             targets += placed(scene, place.free, record.seed, spec, record.placements, pair)
         starts, complete = self._starts(record, place, scene, targets, pair)
+        # the identity follows from the seed only if neither file nor user has changed rules or bodies
         unchanged = (
             complete
             and record.sampled_sha256 == content_digest(record)
@@ -240,6 +244,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         starts = sampled_starts(scene, place.free, record.seed, place.spec, targets, pair)
         places = starts.places
         if len(known) == 1:
+            # one start is the file's: the distance of the rules was tested against the drawn one
             places[0 if record.robot_start is not None else 1] = on_floor[0]
         return Starts.of(places), False
 
@@ -324,6 +329,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
         what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
+        # bodies of a pair are named already, and a person alone is told by the policy solo
         if kinds not in (PAIR, ("human",)):
             what += ":" + ",".join(member.model for member in episode.roster)
         if not episode.is_sampled:
@@ -333,6 +339,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
         assert isinstance(episode, RearrangeEpisode)
+        # one agent with this plan has just played the reference itself
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step if alone else solo_steps_of(self.task, episode)}
 
@@ -368,6 +375,7 @@ def sampled_starts(
     for attempt in range(START_ATTEMPTS):
         rng = generator(seed, "rearrange_starts", step=attempt)
         starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
+        # the slower order counts, as for episodes that are sampled whole
         orders = (targets, targets[::-1])
         seconds = max(seconds_alone(scene, free, spec, robot, human, starts, order) for order in orders)
         if best is None or seconds < best[0]:
@@ -403,6 +411,7 @@ def placed(
     targets = []
     for number, placement in enumerate(placements):
         surfaces = [(i, r) for i, r in scene.receptacles() if i.name.partition("/")[0] in placement.receptacles]
+        # a stream for each object: attempts for one do not shift the draws for the next
         rng = generator(seed, "rearrange_places", step=number)
         spot = free_spot(
             scene,
@@ -443,6 +452,7 @@ def goal_record(target: Target) -> StoredGoal:
 def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
     """The target of a record; ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses."""
     start, position = np.array(goal.start, np.float64), np.array(goal.position, np.float64)
+    # Habitat's poses are those of the center of mass, ours those of the asset's origin
     if origin is not None:
         start[:3] -= quat_rotate(start[3:], origin)
         position -= quat_rotate(np.array(goal.rotation or start[3:], np.float64), origin)
@@ -454,6 +464,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     rules = rules_dict(spec)
     if rules.get("observe") == "full":  # as in recordings from before there was a choice
         del rules["observe"]
+    # JSON has no infinity
     if not np.isfinite(spec.arm_rad_s):
         rules["arm_rad_s"] = None
     return rules
@@ -468,6 +479,7 @@ def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = Rearra
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:
         known["arm_rad_s"] = np.inf
+    # left open, it would be True with every base but Habitat's, where the paper's rules have False
     return read_rules(known, kind, people_give_way=False)
 
 
@@ -482,6 +494,7 @@ def spoken(name: str) -> str:
     return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if _HASH.search(instance) else instance)
 
 
+# with at least one digit: a long word may consist of the letters a to f
 _HASH = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
 
 

@@ -85,6 +85,7 @@ class RearrangeSpec:
     objects: int = 2
     at_goal_m: float = 0.3
     """An object this near to its goal in space is at it (``object_at``)."""
+    # Habitat's grasp_thresh_dist, and the paper's
     grip_m: float = 0.15
     """Largest distance from a robot's hand to the object that it takes [m]."""
     spawn_distance_m: float = 5.0
@@ -94,6 +95,7 @@ class RearrangeSpec:
     """Free height that makes a receptacle an open one."""
     object_radius_m: float = 0.12
     """Things with a larger circumscribed circle on the floor plane stay where they are."""
+    # Habitat's agents_within_threshold; the paper's text has a single distance of 1.5 m
     near_m: tuple[float, float] = (2.0, 1.5)
     """Half axes, ahead and aside, of the ellipse in which the other agent may interrupt a skill."""
     arm_rad_s: float = 8.0
@@ -229,6 +231,7 @@ class RearrangeEpisode(Episode):
 
 def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
     """Bodies of the first robot and the first person; the default ones where there is none."""
+    # backwards, so that the first of each kind is the one that stays
     models = {member.kind: member.model for member in reversed(roster)}
     return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
 
@@ -249,6 +252,7 @@ def starts_of(
         taken[kinds.index("robot")] = np.append(starts.robot_xz, starts.robot_heading)
     if "human" in kinds:
         taken[kinds.index("human")] = np.append(starts.human_xz, starts.human_heading)
+    # a stream of its own: further agents change nothing about the pair
     rng = generator(seed, "more_agents")
     return sample_places(scene, free, cast, rng, apart_m=spec.spawn_distance_m, rules=spec.robot, taken=taken)
 
@@ -260,16 +264,21 @@ def draw_episode(
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
     movable, doorways = _movable(scene, spec), RoomDoors.of(scene, free)
+    # drawers are reached from above once they are open, however low the room that they slide into
     surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
+    # two pieces of furniture, as a goal lies on another one than the object
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
             f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
             f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles.",
             code="H3-TASK-010",
         )
+    # agents open doors on their way: paths are those with all doors open, and each door costs time
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     budget = SPARE * spec.max_steps * STEP_S
+    # the longest path on foot; turning is left out, so that nothing feasible is ruled out
     longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
+    # two legs for each object: to it, and on to its goal
     leg = longest / (2 * spec.objects)
     why = f"a person alone would take more than {budget:.0f} s"
     starts = None
@@ -285,6 +294,7 @@ def draw_episode(
             continue
         seconds = draw.seconds_alone(starts, targets)
         if seconds <= budget:
+            # whoever plays may begin with either object
             seconds = draw.seconds_alone(starts, targets[::-1])
         if seconds <= budget:
             return starts, targets
@@ -329,6 +339,7 @@ def free_spot(
     """
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
+    # within any distance, so it does not matter where the way begins
     tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
     return next((spot for spot in tries if spot is not None), None)
 
@@ -391,7 +402,9 @@ class _EpisodeSampler:
             start = self._place(rng, thing, taken, here, within_m, spots=spots)
             if start is None:
                 return None
+            # at either end a person stands this far away, so a leg may be so much shorter than the line
             least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            # before the search for a goal, which costs more than the straight lines up to here
             if least > longest_m:
                 return None
             here = start[0][[0, 2]]
@@ -422,11 +435,14 @@ class _EpisodeSampler:
         for k in np.repeat(near[:12], spots).tolist():
             instance, receptacle = self.surfaces[k]
             size = receptacle.half_size * np.abs(instance.scale[[0, 2]]) - radius
+            # drawn before the tests, so a surface without room takes as many numbers as any other
             local = rng.uniform(-1, 1, 2)
             if size.min() < 0 or high - low + 0.05 > receptacle.clearance_m:
                 continue
+            # in the receptacle's axes, which the instance's scale stretches; the radius is in metres
             x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
             spot = instance_matrix(instance) @ np.append(receptacle.center + np.array([x, 0, z]), 1.0)
+            # the place of the asset's origin, which may be above the lowest point of the thing
             point = spot[:3] + np.array([0, LIFT_M - low, 0])
             inside = within_reach(self.scene, f"{instance.name}|{receptacle.name}", point)
             if inside is None or (away_from is not None and is_drawer(self.scene, instance)):
@@ -441,6 +457,7 @@ class _EpisodeSampler:
             clearance = arm_clearance(inside.scene, self.robot, self.free.floor_y)
             base = base_of(self.robot, self.spec.robot)
             stands = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, inside.point)
+            # nobody can stand where the open door or drawer is
             stands = stands[stands_clear(stands, inside.taken, base.disc_offsets_m, base.disc_radius_m)]
             if not any(clearance.is_clear(stand, inside.point) for stand in stands):
                 continue
@@ -473,6 +490,7 @@ class _EpisodeSampler:
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
         people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
         floor = floor_of(self.robot, base, self.scene, self.free)
+        # handle_stands: a robot may take a handle from where it has no room to turn
         robots = np.concatenate([f(floor, self.robot, base, handle) for f in (robot_stands, handle_stands)])
         return (
             people[stands_before(openables, joint, people, discs.offsets_m, discs.radius_m)],
@@ -504,6 +522,7 @@ class _EpisodeSampler:
         if not len(stands):
             return None, np.inf
         room = reach_room(place.scene, self.human, self.free.floor_y)
+        # without a place to come from, only the existence of a stand counts
         start = stands[0, :2] if here is None else here
         k, length = nearest_stand(self.free, stands, start, is_clear=lambda stand: room.is_clear(stand, point))
         return (stands[k], length) if k >= 0 else (None, length)
@@ -511,6 +530,7 @@ class _EpisodeSampler:
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
         """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
         here, heading = starts.human_xz, starts.human_heading
+        # a set of doors: one that has been opened stays open on later legs
         way, turned, opened, walker, doors = 0.0, 0.0, 0, self.spec.human, set[int]()
         positions = joints_of(self.doorways.scene).rest
         for target in targets:
@@ -527,11 +547,14 @@ class _EpisodeSampler:
                 legs = np.diff(path, axis=0)
                 if walker.clearance_m:  # the detour around corners: 6% of the time where there are many
                     length = float(np.hypot(*legs.T).sum())
+                # forward is (cos, -sin) of the heading in (x, z)
                 headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
                 turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
                 here, heading, way = stand[:2], float(stand[2]), way + length
         pace = way / walker.speed_mps + OPENING_S * (opened + len(doors))
         if walker.stride is None:
             return pace + turned / walker.turn_rad_s + HANDLING_S * len(targets)
+        # against full speed throughout, v / 2a is lost in setting off and v / 2d in braking
         setting_off = walker.speed_mps / 2 * (1 / walker.stride.accel_mps2 + 1 / walker.stride.decel_mps2)
+        # two legs for each object, each with a start and a stop
         return pace + turned / walker.stride.turn_rad_s + (2 * setting_off + HANDLING_S) * len(targets)

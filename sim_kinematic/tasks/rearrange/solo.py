@@ -21,6 +21,7 @@ def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
     It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
     people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
     """
+    # beside the fields of the frozen episode: replace() leaves it out, so other agents count anew
     if _SOLO_STEPS not in vars(episode):
         vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(task, episode)
     return vars(episode)[_SOLO_STEPS]
@@ -31,6 +32,7 @@ def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)
     policy: Any = planner("both", episode.seed, len(episode.targets))
+    # the reference has to search as well, or it would know more than those compared with it
     policy = Seeking(policy) if episode.spec.observe == "seen" else policy
     play = WorldRollout.of(task, alone, [AssignedPolicy(policy, "both", kinds[first], "both")])
     run(play)

@@ -153,6 +153,7 @@ class Rearrange(Task):
         from sim_kinematic.policies.learned_chooser import learned_chooser
 
         if is_learned(name):
+            # only for its check: it raises if the network does not fit
             if spec is not None:
                 learned_chooser(name, spec.objects, robot=kind == "robot")
         elif name not in ROBOT_POLICIES and name not in PARTNERS:
@@ -167,14 +168,18 @@ def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
     kinds, objects = kinds_of(episode.roster), len(episode.targets)
     kind = kinds[number]
     nth = number - (0 if kind == "robot" else kinds.count("robot"))
+    # the first of each kind draws by the episode's own seed, as where it plays in a pair
     seed = episode.seed if not nth else episode_seed(episode.seed, nth)
+    # a name that is in both tables means the one of the agent's own kind
     plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
     if plans and not (kind == "robot" and name in ROBOT_POLICIES):
         policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
     else:
         policy, plan = robot_policy(name, objects), ""
+    # who stands still looks for nothing
     if episode.spec.observe == "seen" and isinstance(policy, Planner | Chooser) and plan != "still" and name != "still":
         policy = Seeking(policy)
+    # it draws skills by their probabilities: the likeliest every time got stuck in loops
     if isinstance(policy, RecurrentSkillPolicy):
         policy.seed = seed
         if kind == "robot":

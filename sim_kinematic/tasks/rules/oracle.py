@@ -19,10 +19,12 @@ def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec
     """
     legs = np.diff(path, axis=0)
     lengths = np.hypot(legs[:, 0], legs[:, 1])
+    # points that coincide give no direction
     legs, lengths = legs[lengths > 1e-9], lengths[lengths > 1e-9]
     drive = max(float(lengths.sum()) - spec.far_m, 0.0)
     # only legs on which the robot drives: it need not turn at corners beyond its place
     driven = int(np.searchsorted(np.cumsum(lengths), drive)) + 1
+    # forward is (cos, -sin) of the heading in (x, z)
     headings = np.concatenate([[heading], np.arctan2(-legs[:driven, 1], legs[:driven, 0])])
     turn = float(np.abs(wrap_angle(np.diff(headings))).sum())
     robot = spec.robot
@@ -38,6 +40,7 @@ def oracle_min_steps(
     """
     for i, place in enumerate(track, start=1):
         path = free.path(robot_xz, place)
+        # an empty path leads nowhere: the person is out of reach there
         if len(path) and steps_to_find(path, heading, spec) < i:
             return i
     return None

@@ -27,6 +27,7 @@ def is_object_at(position: Any, goal: Any, *, distance_m: float = OBJECT_AT_M, x
     if xp is np:
         position, goal = np.asarray(position, np.float64), np.asarray(goal, np.float64)
     gap = position - goal
+    # strictly nearer, in three dimensions, as Habitat's object_at
     return xp.sqrt((gap * gap).sum(-1)) < distance_m
 
 
@@ -44,9 +45,11 @@ def is_robot_at_position(
     """
     xz = np.asarray(robot_xz, np.float64)
     target = np.asarray(position, np.float64)[..., [0, 2]]
+    # on the floor plane, with the bound itself, as Habitat's robot_at
     near = np.hypot(*np.moveaxis(target - xz, -1, 0)) <= distance_m
     if angle_rad is None:
         return near
+    # clipped, as rounding may put a cosine beyond 1
     return near & (np.arccos(np.clip(facing(xz, heading, target), -1, 1)) <= angle_rad)
 
 
@@ -68,4 +71,5 @@ def is_free(held_by: ArrayLike) -> Flags:
 
 def is_found(geodesic_m: Any, facing_dot: Any, spec: SocialNavSpec) -> Any:
     """Return whether the robot faces the person at the right distance (paper section 4.1), arrays or tensors [...]."""
+    # both bounds are in, as in Habitat's statistics; its reward and success leave out the upper one
     return (geodesic_m >= spec.near_m) & (geodesic_m <= spec.far_m) & (facing_dot > spec.facing_dot)

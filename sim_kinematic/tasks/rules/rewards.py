@@ -75,9 +75,11 @@ class PaperReward:
 
     success: float = 10.0
     kept: float = 2.0
+    # habitat-lab's file has 0.01, its command for the paper's results 3
     facing: float = 3.0
     facing_within_m: float = 3.0
     slack: float = -0.1
+    # habitat-lab's file has 500, its command for the paper's results 400
     follow_steps: int = 400
 
     def of(
@@ -101,8 +103,10 @@ class PaperReward:
         kept = (distance <= rules.far_m) & ~near
         count = followed + (kept & (faces > rules.facing_dot))
         success = count >= self.follow_steps
+        # too near, going away pays; too far, coming nearer
         reward = xp.where(kept, self.kept, xp.where(near, distance - before, before - distance)) + self.slack
         reward = reward + self.facing * xp.where(distance <= self.facing_within_m, faces, 0.0)
+        # once, where Habitat pays it in every later step again
         return reward + self.success * (success & (followed < self.follow_steps)), count, success
 
 
@@ -178,6 +182,7 @@ class SocialNavReward:
     ) -> RewardStep:
         del seen
         distance = np.where(np.isfinite(geodesic), geodesic, straight)
+        # in the first step there is no change of distance to pay
         before = np.where(np.isnan(self._distance), distance, self._distance)
         reward, self.followed[:], success = self.paper.of(distance, before, faces, self.followed, self.rules)
         self._distance[:] = distance
@@ -189,10 +194,13 @@ class SocialNavReward:
         worth = self.habitat.reward
         distance = np.where(np.isfinite(geodesic), geodesic, straight) if worth.use_geo_distance else straight
         first = np.isnan(self._distance)
+        # Habitat's own mark for no distance yet; what follows from it is set to 0 below
         before = np.where(first, -1.0, self._distance)
+        # half-open, unlike the paper's interval and that of `is_found`
         kept = (distance >= worth.safe_dis_min) & (distance < worth.safe_dis_max)
         closer = np.where(distance < worth.safe_dis_min, distance - before, before - distance)
         reward = np.where(kept, worth.safe_dis_reward, closer) * worth.toward_human_reward
+        # -1 is Habitat's mark for a part that is switched off, here and below
         near = (distance < worth.facing_human_dis) & (worth.facing_human_reward != -1)
         reward += near * worth.facing_human_reward * faces
         if worth.near_human_bonus != -1:
@@ -223,6 +231,7 @@ class SocialNavReward:
                     code="H3-TASK-044",
                 )
             xz, goal = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.goal_xz, np.float64)
+            # clipped, as rounding may put a cosine beyond 1
             angle = np.arccos(np.clip(facing(xz, seen.robot_heading, goal), -1, 1))
             distance = geodesic if rules.use_geo_distance else np.hypot(*(goal - xz).T)
         near = (distance >= rules.safe_dis_min) & (distance < rules.safe_dis_max)
@@ -272,6 +281,7 @@ class RearrangeReward:
             The reward; the sub-goals that have been paid now; whether all objects are at their goals.
         """
         stages, success = xp.concatenate([held, at_goal], -1), at_goal.all(-1)
+        # what is paid stays paid, even if an object is taken from its goal and put back
         return self.of((stages & ~paid).sum(-1), collides, success), paid | stages, success
 
     def of(self, reached: Any, collides: Any, success: Any) -> Any:
@@ -281,6 +291,7 @@ class RearrangeReward:
 
 REARRANGE_REWARDS: dict[str, RearrangeReward] = {
     "paper": RearrangeReward(),
+    # a tenth of what the paper prints, in habitat-lab's configuration
     "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
 }
 """Rewards of rearrangement by profile."""

@@ -53,6 +53,7 @@ class SkillControl(Control):
 
     def __init__(self) -> None:
         """Create the control."""
+        # people without a robot's primitives, which come after the first five
         super().__init__({"robot": SKILLS, "human": SKILLS[:5]})
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
@@ -82,6 +83,7 @@ class SkillControl(Control):
                 f"Expected the number of an object or a joint as the target, got {choice!r}.", code="H3-TASK-084"
             )
         elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
+            # only for its check: it raises if there is no such skill, object or joint
             play.team.objects.why_not(number, choice)
         if isinstance(choice.command, Message):
             choice.command.check([member.name for member in play.episode.roster])
@@ -102,6 +104,7 @@ class SkillControl(Control):
         """Return the choice to continue the running skill or the last velocity, otherwise to stand for a step."""
         runner = play.team.controllers[number]
         if runner.skill is not None:
+            # choosing the running skill again lets it continue
             return runner.action
         if last is not None and last.skill == CONTROL:
             return last
@@ -182,6 +185,7 @@ class SkillControl(Control):
                     commands=told_in(recording, k, objects),
                 )
                 if assigned.policy is not None:
+                    # a new policy or a server is not asked about the past; the old one is, to have its memory
                     begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)
                     policy.own, policy.since = assigned.policy, begins
             # a recording that was continued has commands only for the steps before
@@ -202,6 +206,7 @@ class SkillControl(Control):
                 for actor, track in zip(play.team.people, tracks, strict=True):
                     follow_track(play, actor, track, play.step)
 
+        # for a track that begins at once; later ones begin after the step before them
         keep(0)
         return {"track_from": first}, keep
 

@@ -33,6 +33,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
     Raises:
         InputError: The home has doors or drawers that open.
     """
+    # beside the fields of the frozen episode: replace() leaves it out, so other agents have their own
     known = vars(episode).setdefault(_ERRANDS, {})
     if number not in known:
         if episode.scene.articulations:
@@ -71,8 +72,10 @@ def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) ->
     near = [_nearest(floor, one, start) for one in stands]
     found = []
     for one, own in zip(stands, near, strict=True):
+        # an agent comes from its start, or from where it handled another object
         places = [own, *(_nearest(floor, one, other) for other in near if other is not None)]
         kept = [place for place in places if place is not None]
+        # one stand may be the nearest from several places
         found.append(np.unique(np.array(kept), axis=0) if kept else np.zeros((0, 2)))
     return found
 
@@ -80,6 +83,7 @@ def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) ->
 def _stands(episode: RearrangeEpisode, number: int, floor: FreeSpace, point: Array) -> Iterator[Stands]:
     """Yield stands to be tried one after the other, the best ones first."""
     body, scene, floor_y = episode.roster[number].body, episode.scene, episode.free.floor_y
+    # only stands to which the agent can get from its start
     island = island_of(floor, episode.starts[number, :2])
     if isinstance(body, Robot):
         clearance = arm_clearance(scene, body, floor_y)

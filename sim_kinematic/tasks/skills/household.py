@@ -75,6 +75,7 @@ DTYPES: dict[str, type] = {
 CONTACT = "contact"
 COMMANDED = (CONTROL, *PRIMITIVES)
 """Skills by which somebody else moves a robot step by step."""
+# one second of 30 steps, and the present
 TRACK = 31
 """Number of positions of the other agent that a policy observes, the present one included."""
 
@@ -120,16 +121,19 @@ class Household(Team):
         self.messages: list[Event] = []
         """Everything that has been said so far."""
         self.company = self._introduced()
+        # after the company, which doors must not open into
         self.objects.openables = self._openables()
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
+        # with drawers as the scene has them; `Objects.goals` move along with the drawers
         self._goals = goals.copy()
         if episode.spec.observe == "seen":
             bodies = [member.body for member in episode.roster]
             self.objects.sight = sight = Sight(episode.scene, bodies, len(names), episode.free.floor_y)
             for controller in self.controllers:
                 controller.surfaces = sight.names
+        # `Objects.held` is -1 for an empty hand, which picks the last entry: no body
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
@@ -144,6 +148,7 @@ class Household(Team):
         is_pair = kinds_of(episode.roster) == ("robot", "human")
         driven = any(isinstance(actor, DrivenPerson) for actor in self.actors)
         alone = len(self.actors) == 1 or (is_pair and (driven or not spec.people_give_way)) or oracle is not None
+        # with oracle skills nobody heeds anybody, as in Habitat
         heeds = len(self.actors) > 1 and oracle is None and (not is_pair or bool(spec.people_give_way))
         solid = spec.solid_agents and driven
         return (GivingWay if oracle is None else DiscContacts)(
@@ -228,6 +233,7 @@ class Household(Team):
             return
         after = openables.positions
         for k, (was, now) in enumerate(zip(*(openables.joints.shares(q) for q in (before, after)), strict=True)):
+            # where it passes ajar, so that a motion of many steps is one event
             if (was < AJAR) != (now < AJAR):
                 who = next(
                     (
@@ -316,6 +322,7 @@ class Household(Team):
     def begin_step(self) -> None:
         """Decide who steps aside."""
         super().begin_step()
+        # copies, with which `move` compares what the agents have made of them
         self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
         self.company.begin_step([number for number in self._held if number != NOBODY])
 
@@ -351,9 +358,11 @@ class Household(Team):
         self.company.end_step()
         self.note_places()
         touching = self.company.touching
+        # nearly always nobody touches: one array for all these steps, into which nobody may write
         world.touching = np.array([[pair in touching for pair in world.pairs]], np.bool_) if touching else self._apart
         self.at_goal = self._at_goal()
         self._move_joints(self._joints)
+        # after doors and drawers have moved, as they reveal and hide things in the same step
         self._look()
         self.is_quiet = not touching and held_now == self._held and self.at_goal.tobytes() == was_at_goal.tobytes()
         if self.is_quiet:
@@ -377,6 +386,7 @@ class Household(Team):
         """Report the skills that are still running."""
         success = bool(self.play.outcome.success[0])
         for number in self.order:
+            # the episode ends while the last placing runs on: it has done what it was to do
             done = success and number in self._finishers
             self.controllers[number].finish(max(self.play.step - 1, 0), completed=done)
 
@@ -465,6 +475,7 @@ class Household(Team):
             point = self.objects.openables.handles(self.objects.openables.positions)[k]
         else:
             point = self.objects.destination(runner.number, runner.action)
+        # things on furniture are off the free floor: the path leads to the floor nearest to them
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
@@ -505,6 +516,7 @@ class Household(Team):
         positions = self.objects.openables.positions
         if not self.doorways.any_closed(positions):
             return -1
+        # any detour will do here: only a place without a path is blocked
         return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
 
     def _at_goal(self) -> NDArray[np.bool_]:
@@ -546,6 +558,7 @@ class Household(Team):
 
     def snapshot(self) -> dict[str, Any]:
         """Return poses, holds and skills of all agents, and poses of all things."""
+        # copies, as the recorder keeps rows until a block is full, while the state goes on
         row: dict[str, Any] = {"object_pose": self.objects.poses.copy()}
         if self.objects.openables is not None:
             row[JOINTS] = self.objects.openables.positions.copy()
@@ -574,6 +587,7 @@ class Household(Team):
     def columns(self, snapshots: Sequence[dict[str, Any]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return the columns of all agents and things."""
         columns = {name: np.array([row[name] for row in snapshots]) for name in snapshots[0]}
+        # not columns of their own: any robot's contact makes `metrics.robot_contact`
         contact = [columns.pop(f"agent_{actor.number}.{CONTACT}") for actor in self.robots]
         places = [columns[f"agent_{number}.base_pose"][:, [0, 2]] for number in range(len(self.actors))]
         block = {
@@ -592,6 +606,7 @@ class Household(Team):
                 if self.at_goal[k]:
                     finishers.add(was)
                 self.play.events.append(Event(step=self.play.step, agent=was, kind="place", target=name, detail=where))
+            # also from hand to hand, where the taker picks and nobody places
             elif was != now:
                 self.play.events.append(Event(step=self.play.step, agent=now, kind="pick", target=name))
         self._finishers = frozenset(finishers)
@@ -606,6 +621,7 @@ def _reached(poses, goals, held_by, within, at_goal):
     """Returns whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
     for k in range(len(goals)):
         dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
+        # strictly nearer, in three dimensions, as Habitat's object_at
         at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within
 
 
@@ -613,5 +629,6 @@ def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
     """Return another place in an agent's frame: ahead and to its right [m]."""
     (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
     dx, dz = other_x - x, other_z - z
+    # forward is (c, -s) in (x, z), and the right-hand side (s, c)
     c, s = math.cos(heading), math.sin(heading)
     return c * dx - s * dz, s * dx + c * dz

@@ -64,6 +64,7 @@ class SkillTrack:
             base=base.astype(np.float64),
             root=root.astype(np.float64),
             joints=joints.astype(np.float64),
+            # the last of the bodies is -1, that of an empty hand
             held=np.where(held == len(bodies) - 1, -1, held),
             objects=objects.astype(np.float64),
             led=_led(recording, number),
@@ -112,6 +113,7 @@ class _Silent:
 def _following(actor: PersonActor, track: SkillTrack, first: int) -> Skill:
     """Pose a person by a track from step ``first`` on, one step at a time."""
     for step in range(first, len(track.base)):
+        # recorded in the world, while the person takes a pose relative to its base
         pelvis = pose_multiply(pose_inverse(track.base[step]), track.root[step])
         actor.person.set_pose(np.vstack([pelvis[3:], track.joints[step]]), pelvis[:3], track.base[step])
         for joint, position in track.led.get(step, ()):
@@ -128,6 +130,7 @@ def _handle(objects: Objects, number: int, track: SkillTrack, step: int) -> None
     if mine >= 0 and wanted != mine:
         objects.held_by[mine], objects.poses[mine] = NOBODY, track.objects[step, mine]
     if wanted >= 0 and wanted != mine and objects.held_by[wanted] == NOBODY:
+        # one step before: in this one the object is in the recorded hand already
         lay = track.objects[max(step - 1, 0), wanted, :3]
         if np.linalg.norm(objects.poses[wanted, :3] - lay) <= THERE_M:
             objects.held_by[wanted] = number

@@ -101,6 +101,7 @@ def draw_starts(
     spots = [(k, at_goal) for k in range(len(lies)) for at_goal in (False, True)]
     if not any_spot:
         spots = [(k, at_goal) for k, at_goal in spots if skill == "nav" or at_goal == (skill == "place")]
+    # stands with a clear arm depend on the spot alone, and spots come again and again
     stands: dict[tuple[int, bool], Array] = {}
     # each spot comes equally often, in a random order
     for number in rng.permutation(count):
@@ -141,11 +142,13 @@ def _place(
     """Return a place ``(x, z, heading)`` [3] at some distance from the nearest of the stands; None: none was found."""
     if not len(stands):
         return None
+    # one field from all stands measures every candidate, where geodesics would take a search each
     field = floor.distance_field(stands[:, :2])
     for _ in range(ROUNDS):
         points = floor.sample(rng, CANDIDATES)
         headings = rng.uniform(-np.pi, np.pi, CANDIDATES)
         lengths = field.distance(points)
+        # whether the body fits is asked one by one, so only where the length is right
         for k in np.flatnonzero((lengths >= least) & (lengths <= most)).tolist():
             if fits(points[k], float(headings[k])):
                 return np.append(points[k], headings[k])

@@ -82,6 +82,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
                 {
                     "robot_start": info["robot_start"],
                     "human_start": info["human_start"],
+                    # only the scripted person has goals that decide where they walk
                     "human_goals": info.get("human_goals", ())
                     if info.get("partner", "waypoints") == "waypoints"
                     else (),

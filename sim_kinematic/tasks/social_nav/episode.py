@@ -69,6 +69,7 @@ def sample_pair_starts(
     farthest, misfits = 0.0, 0
     for _ in range(200):
         robot_xz, human_xz = free.sample(rng, 2)
+        # drawn for rejected pairs too, so that the tests do not shift the draws of later pairs
         robot_heading, human_heading = rng.uniform(-np.pi, np.pi, 2)
         apart = float(np.hypot(*(robot_xz - human_xz)))
         farthest = max(farthest, apart)
@@ -159,6 +160,7 @@ def episode_from(
     human_name = with_body(human, episode.human.removeprefix("humanoid/"))
     headings = np.array([[episode.robot_start[2]], [episode.human_start[2]]])
     goals = [[float(x), float(z)] for x, z in points[2:]]
+    # the user may name any robot, a file only those that are built in, installed or trusted
     with nullcontext() if robot else names_from_data():
         roster = make_roster(("robot", "human"), robot=robot_name, human=human_name)
     return Episode(
@@ -174,6 +176,7 @@ def episode_from(
 
 def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
     """Return the rules that an episode names; what it does not name is as in the paper."""
+    # empty entries give the paper's base and walker, where the spec's defaults are the natural ones
     rules: dict[str, Any] = {"max_steps": episode.max_steps, "robot": {}, "human": {}, **episode.rules}
     try:
         spec = msgspec.convert(rules, SocialNavSpec)

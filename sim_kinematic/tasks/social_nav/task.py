@@ -200,11 +200,13 @@ class SocialNav(Task):
             fresh = np.zeros(worlds, np.bool_)
             fresh[rows] = True
             worth = state.rewards.reset(self._encounter(play), where=fresh)
+            # under Habitat's profile the reset counts as a step, which may complete the following
             state.success[rows] |= worth.success[rows]
 
     def judge(self, play: WorldRollout) -> StepOutcome:
         """Compute reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
+        # before the look, so that the event comes in the step in which this changes
         lost = not state.found[0]
         self._look(play)
         state.found |= is_found(state.geodesic, state.faces, play.spec)
@@ -234,6 +236,7 @@ class SocialNav(Task):
         """Return the events of a world that is recorded, and store the goal or the position of the person."""
         events, step, walker = [], play.step - 1, play.policies[HUMAN].policy
         if not isinstance(walker, WaypointPolicy):
+            # a copy, as the world moves people in place
             state.track.append(play.world.state.people[0].xz[0].copy())
         else:
             if walker.goal != state.goal[0]:
