@@ -59,7 +59,8 @@ def share_of_the_other(replay: Replay, *, within_m: float) -> float:
 def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
     replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
-    assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.99
+    # one of fifty frames: the person may walk through the line of sight, and is drawn whole then
+    assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.97
     assert speed_past_agent(replay) < FASTER_MPS
     assert share_of_the_other(replay, within_m=2.5) > 0.6
     heights = camera_track(replay, "third_person").poses[:, 1, 3]
