@@ -156,7 +156,7 @@ class LanguageModelPolicy:
             except StopIteration as end:
                 self._work, result = None, str(end.value)
                 continue
-            self._known, self._heard = self._count(view), self._worker.heard(view)
+            self._known, self._heard = self._worker.known(view), self._worker.heard(view)
             return action
 
     def interrupts(self, view: RearrangeView) -> str:
@@ -164,14 +164,11 @@ class LanguageModelPolicy:
         action, reason = view.action, self._worker.reason
         if reason == "message" and self._worker.heard(view) > self._heard:
             return "message"
-        if reason == "found" and self._count(view) > self._known:
+        if reason == "found" and self._worker.known(view) > self._known:
             return "found"
         if action is None or action.skill not in ("nav_to_object", "pick"):
             return ""
         return "object_taken" if view.held_by[action.target] not in (NOBODY, self._number) else ""
-
-    def _count(self, view: RearrangeView) -> int:
-        return sum(view.is_known(k) for k in range(len(view.objects)))
 
     def _next_work(self, view: RearrangeView, result: str) -> Work:
         """Ask until an answer means something."""

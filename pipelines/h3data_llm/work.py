@@ -168,8 +168,8 @@ class Worker:
         return self._failure(view) or "It did not work."
 
     def _explore(self, view: RearrangeView, room: str) -> Work:
-        known, tried = self._known(view), set[int]()
-        while self._known(view) <= known:
+        known, tried = self.known(view), set[int]()
+        while self.known(view) <= known:
             assert view.places is not None
             points, looked, shut = view.places
             left = [
@@ -212,7 +212,8 @@ class Worker:
         """Number of messages of others so far."""
         return sum(event.agent != self._number for event in view.messages)
 
-    def _known(self, view: RearrangeView) -> int:
+    def known(self, view: RearrangeView) -> int:
+        """Number of things whose place the agent knows."""
         return sum(view.is_known(k) for k in range(len(view.objects)))
 
     def _held(self, view: RearrangeView) -> int:
