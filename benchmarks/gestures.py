@@ -14,6 +14,7 @@ import numpy as np
 
 from h3data.bodies import humanoid_names, load_humanoid
 from h3data.bodies.people.gestures import GESTURES, NAMES, add_gestures
+from h3data.geometry import smoothstep
 
 STEPS_PER_S = 30
 RAMP_S = 0.8
@@ -30,7 +31,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
             u = np.clip(np.minimum(since, since[::-1]) / RAMP_S, 0, 1)
             quats, pelvis = body.clip_pose(np.zeros(count, np.int64), np.zeros(count))
             begun = time.process_time()
-            add_gestures(body, quats, pelvis, np.column_stack([np.full(count, number), since, u * u * (3 - 2 * u)]))
+            add_gestures(body, quats, pelvis, np.column_stack([np.full(count, number), since, smoothstep(u)]))
             seconds, poses = seconds + time.process_time() - begun, poses + count
             turns = np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1)
             worst = max(worst, float(np.degrees(2 * np.arccos(turns)).max()))

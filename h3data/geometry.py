@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +48,14 @@ def _is_single(value: Any) -> bool:
     agents pose one such vector each per step.
     """
     return type(value) is np.ndarray and value.ndim == 1 and value.dtype is _F64
+
+
+Share = TypeVar("Share", float, NDArray[np.float64], Array)
+
+
+def smoothstep(share: Share) -> Share:
+    """Returns the share of a way at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
+    return share * share * (3 - 2 * share)
 
 
 def normalized(vectors: ArrayLike) -> Array:

@@ -157,3 +157,12 @@ def test_one_ground_pose_is_what_it_is_among_many_to_the_bit() -> None:
     many = g.ground_pose(xz, heading, 0.25)
     for k in range(len(xz)):
         assert g.ground_pose(xz[k], float(heading[k]), 0.25).tobytes() == many[k].tobytes()
+
+
+@given(st.floats(0, 1))
+def test_a_smooth_way_begins_and_ends_at_rest_and_is_symmetric(share: float) -> None:
+    assert g.smoothstep(0.0) == 0
+    assert g.smoothstep(1.0) == 1
+    assert g.smoothstep(share) + g.smoothstep(1 - share) == pytest.approx(1)
+    assert g.smoothstep(np.array([share]))[0] == g.smoothstep(share)
+    assert abs(g.smoothstep(1e-4)) < 1e-7

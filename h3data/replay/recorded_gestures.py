@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.bodies.people.gestures import GESTURES, NAMES
-from h3data.geometry import Array
+from h3data.geometry import Array, smoothstep
 from h3data.recording import Recording
 
 BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
@@ -42,6 +42,6 @@ def recorded_gestures(recording: Recording, agent: int) -> Array | None:
         since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
         u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)
         out[rows] = np.column_stack(
-            [np.full(len(u), NAMES.index(event.target)), since + APART_S * agent, u * u * (3 - 2 * u)]
+            [np.full(len(u), NAMES.index(event.target)), since + APART_S * agent, smoothstep(u)]
         )
     return out

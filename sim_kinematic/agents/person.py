@@ -48,6 +48,7 @@ from h3data.geometry import (
     quat_multiply,
     quat_nlerp,
     quat_rotate,
+    smoothstep,
     wrap_angle,
 )
 from h3data.scene import FreeSpace
@@ -492,7 +493,7 @@ class Person:
             steps = int(np.ceil(slower * max(leg / HAND_SPEED_MPS, HAND_LEAST_S) / STEP_S))
             u = np.arange(1, steps + 1)[:, None] / steps
             # at rest at both corners; halfway it is 1.5 times as fast as `HAND_SPEED_MPS`, which is the mean
-            u = u * u * (3 - 2 * u)
+            u = smoothstep(u)
             points.append(corners[k] + u * (corners[k + 1] - corners[k]))
             done.append(legs[:k].sum() + u[:, 0] * leg)
         way = np.concatenate(done)
@@ -536,7 +537,7 @@ class Person:
         was_quats, was_pelvis = fade.quats, fade.pelvis
         if was_quats is not None and was_pelvis is not None:
             fade = fade._replace(left=fade.left - 1 / FADE_STEPS)
-            share = fade.left * fade.left * (3 - 2 * fade.left)
+            share = smoothstep(fade.left)
             quats = quat_nlerp(quats, was_quats, np.full(len(quats), share))
             pelvis = pelvis + share * (was_pelvis - pelvis)
             # half a step, because a sum of twelfths does not end exactly at 0

@@ -16,7 +16,7 @@ import numpy as np
 from h3data.bodies import Humanoid
 from h3data.bodies.people.sitting import Sitting, sitting_on
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, wrap_angle
+from h3data.geometry import Array, ground_pose, smoothstep, wrap_angle
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import Capsule, instance_bounds
 from h3data.scene.seats import Seat, seats_of
@@ -212,6 +212,5 @@ def _steps(start: Array, end: Array) -> Iterator[Array]:
     gap = end[:2] - start[:2]
     steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)
     for k in range(1, steps + 1):
-        u = k / steps
-        u = u * u * (3 - 2 * u)
+        u = smoothstep(k / steps)
         yield np.append(start[:2] + u * gap, start[2] + u * turn)

@@ -20,7 +20,16 @@ from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import SIDES, Posture, X, rotation, solve_legs
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, normalized, quat_from_matrix, quat_multiply, quat_nlerp, quat_rotate
+from h3data.geometry import (
+    IDENTITY_POSE,
+    Array,
+    normalized,
+    quat_from_matrix,
+    quat_multiply,
+    quat_nlerp,
+    quat_rotate,
+    smoothstep,
+)
 
 if TYPE_CHECKING:
     from h3data.bodies.people.humanoid import Humanoid
@@ -98,7 +107,7 @@ class Sitting:
         laid = _hands_on_thighs(self.body, self.body.joint_matrices(roots, mixed, path))
         early = np.repeat(np.minimum(share / ARMS_BY, 1.0), len(_ARMS))
         hanging = mixed[:, _ARMS].reshape(-1, 4)
-        mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), early * early * (3 - 2 * early)).reshape(laid.shape)
+        mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), smoothstep(early)).reshape(laid.shape)
         return mixed, path
 
     @cached_property
@@ -138,8 +147,7 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
         at = seats[own, 1] * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
         share = (at - low)[:, None]
-        early = np.minimum(seats[own, 1] / EARLY, 1.0)[:, None]
-        early = early * early * (3 - 2 * early)
+        early = smoothstep(np.minimum(seats[own, 1] / EARLY, 1.0))[:, None]
         quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
         place = places[low] + share * (places[low + 1] - places[low])
         pelvis[own] += early * (place - pelvis[own])

@@ -12,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies.robots.robot import Robot, RobotLeg
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, quat_rotate, transform_points
+from h3data.geometry import (
+    Array,
+    ground_pose,
+    heading_from_quat,
+    pose_to_matrix,
+    quat_rotate,
+    smoothstep,
+    transform_points,
+)
 from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers
 
 STRIDE_M = 0.7
@@ -171,7 +179,7 @@ def _feet(
         # the first swing begins where the feet stood
         lifts_off = np.maximum(cycle + DUTY, begin)
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
-        weight = (swing * swing * (3 - 2 * swing))[:, None]
+        weight = smoothstep(swing)[:, None]
         out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
         rest = transform_points(roots, foot[None])[:, 0]
         if len(heights):

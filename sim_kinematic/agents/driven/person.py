@@ -13,11 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies.people.kernels.hands import lead_arm, turn_head
 from h3data.bodies.people.planted_gait import on_stairs
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import (
-    Array,
-    pose_inverse,
-    pose_multiply,
-)
+from h3data.geometry import Array, pose_inverse, pose_multiply, smoothstep
 from sim_kinematic.agents.arm_tuck import HANDS
 from sim_kinematic.agents.driven.commands import (
     HEAD_PITCH_RAD,
@@ -383,7 +379,7 @@ class DrivenPerson(PersonActor):
                     self._points[k],
                     turn,
                     target.rotation is not None,
-                    share * share * (3 - 2 * share),
+                    smoothstep(share),
                 )
         if self._head.any():
             turn_head(quats, *self._head)

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_points
+from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, smoothstep, transform_points
 from h3data.scene import Box, Instance, Scene
 from h3data.scene.articulation import SceneJoints, handle_points, joints_of, posed, rests_on
 from h3data.scene.floor_heights import floor_heights, room_heights
@@ -143,7 +143,7 @@ class ArticulatedParts:
         speed = SWING_RAD_S if joint.kind == "revolute" else SLIDE_MPS
         steps = max(STEPS_LEAST, int(np.ceil(abs(end - start) / (speed * STEP_S))))
         u = np.arange(1, steps + 1) / steps
-        way = start + u * u * (3 - 2 * u) * (end - start)
+        way = start + smoothstep(u) * (end - start)
         # to the bit: a start plus a difference may miss it by rounding
         way[-1] = end
         return way
