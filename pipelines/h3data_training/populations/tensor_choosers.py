@@ -68,6 +68,9 @@ class TensorSkillPolicy:
         self._state = torch.zeros(worlds, 0, device=sim.device)
         self._thought = torch.zeros(worlds, dtype=torch.int64, device=sim.device)
         self._noise = torch.zeros(0, device=sim.device)
+        self._pictures = torch.zeros(worlds, 0, 0, dtype=torch.half, device=sim.device)
+        """Roots of the depth that robots saw at the last look, [W, H, W']."""
+        self._found = self._features = torch.zeros(worlds, 0, device=sim.device)
 
     @property
     def remembered(self) -> list[Tensor]:
@@ -86,6 +89,10 @@ class TensorSkillPolicy:
             self._offered = torch.as_tensor(first.offered, device=device)
             self._state = torch.zeros(len(names), first.arrays["gru.weight_hh"].shape[1], device=device)
             self._noise = torch.zeros_like(noise)
+            if first.card.picture_size is not None:
+                width, height = first.card.picture_size
+                self._pictures = self._pictures.new_zeros(len(names), height, width)
+                self._found = torch.zeros(len(names), 1, device=device)
         worlds: dict[str, list[int]] = {name: [] for name in self._names}
         for world, name in enumerate(names):
             worlds[name].append(world)
@@ -98,28 +105,35 @@ class TensorSkillPolicy:
         self._state.zero_()
         self._thought.zero_()
 
-    def choose(
-        self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor, depth: Tensor, found: Tensor
-    ) -> tuple[Tensor, ...]:
-        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `Row`.
+    def look(self, depth: Tensor, found: Tensor) -> None:
+        """What networks that see choose by until the next look.
 
-        ``depth`` [W, H, W'] and whether the arm's camera has ``found`` a person [W, 1] are for networks that see.
+        Args:
+            depth: what the arm's camera sees [W, H, W'], as the observation ``arm_depth``.
+            found: whether it sees a person [W, 1].
         """
+        self._pictures.copy_(depth.float().sqrt())
+        self._found.copy_(found)
+        seen = features(self._arrays, self._pictures.float())
+        if not self._features.numel():
+            self._features = torch.empty_like(seen)
+        self._features.copy_(seen)
+
+    def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `Row`."""
         play = self._play
         view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)
         names, objects = self._observations, self._sim.bank.objects
         shown = observed(view, tuple(name for name in names if name in SENSES))
-        pictures, told = depth[:, :0, :0].half(), depth[:, :0, 0].float()
+        told = self._features[:, :0]
         if self._sees:
-            pictures = depth.float().sqrt().half()
-            shown = shown | {DETECTOR: found.float()}
+            shown = shown | {DETECTOR: self._found}
             state_of = encode(observed(view, OBSERVATIONS), self._agent, objects)
             told = torch.cat([inputs.flatten(1) for inputs in state_of], 1)
         each, rest = encode(shown, self._agent, objects, observations=names)
-        seen = features(self._arrays, pictures.float()) if self._sees else pictures.flatten(1)
         rows, scores = self._rows.flatten(), torch.zeros(len(each), len(view.choices), device=each.device)
-        known = torch.cat([seen, rest], 1)
+        known = torch.cat([self._features, rest], 1)
         own, after = scored(self._arrays, each[self._rows], known[self._rows], self._state[self._rows])
         scores = scores.index_copy(0, rows, own.flatten(0, 1))
         state = self._state.index_copy(0, rows, after.flatten(0, 1))
@@ -130,7 +144,7 @@ class TensorSkillPolicy:
         before = self._state.clone()
         self._state.copy_(torch.where(asked[:, None], state, self._state))
         self._thought.copy_(torch.where(asked, play.steps, self._thought))
-        return torch.where(asked, chosen, FREE), each, rest, pictures, told, before, may, chosen, log_prob, asked
+        return torch.where(asked, chosen, FREE), each, rest, self._pictures, told, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
         """Random numbers of the step with this number [1], uniform in 0..1, [W, C]."""

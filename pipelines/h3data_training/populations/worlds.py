@@ -30,8 +30,11 @@ APART_M = 2.0
 """Agents begin at least this far from each other."""
 SEEN = ("arm_depth", "humanoid_detector")
 """Observations that come from pictures."""
-LOOKS_EVERY = 25
-"""Steps after which it is looked whether all episodes are over: that waits for the device."""
+LOOK_STEPS = 5
+"""Steps from one picture to the next. Drawing costs more than all the rest of a step, and close to each other agents choose
+once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most 4 steps old."""
+CHECK_STEPS = 25
+"""Steps after which it is checked whether all episodes are over: that waits for the device."""
 
 
 class TensorPlayers:
@@ -140,6 +143,7 @@ class _Worlds:
         self._choose = [fused(chooser.choose) if compiles else chooser.choose for chooser in self._choosers]
         self._move = fused(self._moved) if compiles else self._moved
         self._advance: Callable[[], object] = self._eager
+        self._look: Callable[[], object] = self._draw
 
     def played(self, jobs: Sequence[Job]) -> Batch:
         """Some episodes, in their order."""
@@ -154,14 +158,20 @@ class _Worlds:
         self._step.zero_()
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
             chooser.begin(jobs, names, generator, steps=self._longest)
+        if self._cameras is not None:
+            self._draw()
         if device.type == "cuda" and self._advance == self._eager:
+            if self._cameras is not None:
+                self._look = captured(self._draw, [self._step])
             changed = [t for chooser in self._choosers for t in chooser.remembered]
             self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
         steps = 0
         while steps < self._longest:
+            if self._cameras is not None and steps % LOOK_STEPS == 0:
+                self._look()
             self._advance()
             steps += 1
-            if steps % LOOKS_EVERY == 1 and bool(self._play.ended.all()):
+            if steps % CHECK_STEPS == 1 and bool(self._play.ended.all()):
                 break
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
@@ -188,23 +198,20 @@ class _Worlds:
     def _eager(self) -> None:
         """One step of all worlds, in place."""
         paths, chosen = self._find(), []
-        seen = self._seen()
         for chooser, choose in zip(self._choosers, self._choose, strict=True):
-            choice, *row = choose(*paths, chooser.noise(self._step), *seen)
+            choice, *row = choose(*paths, chooser.noise(self._step))
             chooser.keep(Row(*row), self._step)
             chosen.append(choice)
         self._move(chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
         self._rewards.index_copy_(0, self._step, self._play.reward[None])
         self._step.add_(1)
 
-    def _seen(self) -> tuple[Tensor, Tensor]:
-        """Depth that robots see [W, H, W'] and whether they see a person [W, 1]; empty without cameras."""
-        if self._cameras is None:
-            nothing = self._rewards[0, :, None, None]
-            return nothing[:, :0], nothing[:, 0, :0]
+    def _draw(self) -> None:
+        """Shows robots what they see now."""
+        assert self._cameras is not None
         self._cameras.pose(self._play.robot, self._play.human, place=self._sim.tables.at(self._play.episode).place)
         seen = arm_pictures(self._cameras, SEEN)
-        return seen["arm_depth"][..., 0], seen["humanoid_detector"]
+        self._choosers[0].look(seen["arm_depth"][..., 0], seen["humanoid_detector"])
 
     def _paths(self) -> tuple[Tensor, Tensor, Tensor]:
         paths = Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode))
