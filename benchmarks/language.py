@@ -14,7 +14,6 @@ import numpy as np
 from h3data.metrics import measure_files
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, DatasetWriter, Episode, Event, Recording
 from h3data_language.evaluation.layout import FurnitureBox, Layout, Surface, ThingBox
-from h3data_language.evaluation.records import Evaluation
 
 EPISODES, STEPS, BODIES, THINGS, FURNITURE, ROOMS = 10_000, 1_500, 100, 4, 24, 8
 
@@ -46,18 +45,16 @@ def synthetic_recordings(count: int) -> Iterator[Recording]:
     names = [[f"table_{k}", f"table_{k + 1}"] for k in range(THINGS)]
     asked = [("is_on_top", {"object_handles": [f"mug_{k}"], "receptacle_handles": names[k]}) for k in range(THINGS)]
     asked += [("is_on_top", {"object_handles": list(things), "receptacle_handles": list(tables), "number": 2})]
-    told = Evaluation.of(
-        {
-            "evaluation_propositions": [{"function_name": f, "args": a} for f, a in asked],
-            "evaluation_proposition_dependencies": [
-                {"proposition_indices": [1], "depends_on": [0], "relation_type": "after_satisfied"}
-            ],
-            "evaluation_constraints": [
-                {"type": "TemporalConstraint", "args": {"dag_edges": [[0, 2], [1, 2]]}},
-                {"type": "TerminalSatisfactionConstraint", "args": {"proposition_indices": [0, 1, 2, 3]}},
-            ],
-        }
-    ).to_json()
+    told = {
+        "evaluation_propositions": [{"function_name": f, "args": a} for f, a in asked],
+        "evaluation_proposition_dependencies": [
+            {"proposition_indices": [1], "depends_on": [0], "relation_type": "after_satisfied"}
+        ],
+        "evaluation_constraints": [
+            {"type": "TemporalConstraint", "args": {"dag_edges": [[0, 2], [1, 2]]}},
+            {"type": "TerminalSatisfactionConstraint", "args": {"proposition_indices": [0, 1, 2, 3]}},
+        ],
+    }
     still = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (STEPS, 1))
     for number in range(count):
         at = np.zeros((STEPS, THINGS, 7), np.float32)

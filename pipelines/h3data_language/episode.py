@@ -14,7 +14,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError, SceneError, suggest
 from h3data.geometry import Array, quat_from_heading
 from h3data.scene import FreeSpace, Scene
-from h3data_language.evaluation.engine import evaluate
+from h3data_language.evaluation.engine import Verdict, evaluate
 from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.predicates import Rows, next_to
 from h3data_language.evaluation.records import NEXT_TO_M, Evaluation
@@ -424,16 +424,21 @@ def steps_alone(task: LanguageTask, spec: LanguageSpec) -> float:
 
 def can_be_done(task: LanguageTask) -> bool:
     """Return whether a task's errands, done one after the other, complete it, and it is not complete from the start."""
-    extra = task.extra
+    verdict = evaluate_errands(task.targets, task.extra)
+    return verdict.percent_complete == 1 and not bool((verdict.satisfied_at == 0).any())
+
+
+def evaluate_errands(targets: Sequence[Target], extra: Mapping[str, Any]) -> Verdict:
+    """Evaluate the propositions of a task whose errands are done one after the other."""
     evaluation, layout = Evaluation.of(extra), msgspec.convert(extra[LAYOUT], Layout)
-    poses = [np.array([t.start for t in task.targets], np.float32)]
+    poses = [np.array([t.start for t in targets], np.float32)]
     states = [{name: np.array(flags, np.bool_) for name, flags in extra["states"].items()}]
     done: list[int] = []
     errands = msgspec.convert(extra["errands"], list[Errand])
     while len(done) < len(errands):
         k = next(k for k, e in enumerate(errands) if k not in done and set(e.after) <= set(done))
         errand, pose, state = errands[k], poses[-1].copy(), {name: flags.copy() for name, flags in states[-1].items()}
-        target = task.targets[errand.thing]
+        target = targets[errand.thing]
         if errand.handle:
             name, value = extra["uses"][errand.thing]
             state[name][errand.thing] = value
@@ -446,8 +451,7 @@ def can_be_done(task: LanguageTask) -> bool:
     rows = Rows(
         layout,
         np.stack(poses),
-        np.zeros((len(poses), len(task.targets)), np.bool_),
+        np.zeros((len(poses), len(targets)), np.bool_),
         {name: np.stack([s[name] for s in states]) for name in STATES},
     )
-    verdict = evaluate(evaluation, rows)
-    return verdict.percent_complete == 1 and not bool((verdict.satisfied_at == 0).any())
+    return evaluate(evaluation, rows)

@@ -73,7 +73,8 @@ class Plan:
         for n, errand in enumerate(self.errands):
             if not errand.handle:
                 goals = self.goals[errand.thing]
-                now = next((s for s, g in enumerate(goals) if np.allclose(g, view.goals[errand.thing])), 0)
+                # the nearest, as a goal in a drawer moves with it
+                now = int(np.argmin(np.linalg.norm(np.array(goals) - view.goals[errand.thing], axis=1)))
                 if now > errand.stage or (now == errand.stage and view.at_goal[errand.thing]):
                     found.add(n)
         return found

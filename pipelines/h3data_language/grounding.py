@@ -78,6 +78,8 @@ def home_of(scene: Scene, open_m: float) -> Home:
     layout, enclosed = Layout.of_scene(scene, things), joints_of(scene).enclosing
     by_name = {i.name: i for i in scene.instances}
     category = {name: scene.assets[i.asset].category for name, i in by_name.items()}
+    category = {owner_of(scene, name): kind for name, kind in reversed(category.items())} | category
+    moving = {name for thing in scene.articulations for part in thing.parts for name in part.instances}
     surfaces: dict[str, list[tuple[Instance, Receptacle]]] = {}
     closed: dict[str, list[tuple[Instance, Receptacle]]] = {}
     for instance, receptacle in scene.receptacles():
@@ -85,7 +87,7 @@ def home_of(scene: Scene, open_m: float) -> Home:
         usual = owner in layout.furniture and category[owner] not in _UNNAMED
         if usual and enclosed.get(f"{instance.name}|{receptacle.name}"):
             closed.setdefault(owner, []).append((instance, receptacle))
-        elif usual and owner == instance.name and receptacle.clearance_m >= open_m:
+        elif usual and instance.name not in moving and receptacle.clearance_m >= open_m:
             surfaces.setdefault(owner, []).append((instance, receptacle))
     places, insides = (_places(some, layout, category) for some in (surfaces, closed))
     poses = np.array([by_name[t].pose for t in things], np.float64).reshape(1, -1, 7)

@@ -16,7 +16,7 @@ from h3data.geometry import transform_points
 from h3data.policies import Action, AssignedPolicy, PolicyMaker
 from h3data.recording import Event, Recording
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.recording.task_episodes.stored_episodes import plain, read_info_block
+from h3data.recording.task_episodes.stored_episodes import plain, read_info_block, task_of
 from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement
 from h3data.scene import FreeSpace, Scene
 from h3data.tasks import (
@@ -37,14 +37,15 @@ from h3data_language.evaluation.predicates import Rows, check_names
 from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
 from h3data_language.experts import EXPERTS, expert
 from h3data_language.grounding import home_of
+from h3data_language.partnr import MAX_STEPS, StoredLanguage, plan_episode, read_episode
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.roster import kinds_of
+from sim_kinematic.agents.roster import ROBOT_BODY, kinds_of, with_body
 from sim_kinematic.agents.skills import INSIDE, Destination, sentence
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info, uid_of
 from sim_kinematic.tasks.rearrange.codec import goal_record
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, rules_in
 from sim_kinematic.tasks.skills.household import Household
 from sim_kinematic.tasks.social_nav.episode import Starts
 
@@ -53,13 +54,6 @@ HANDLING_STEPS = 12
 HANDLING_M = 1.5
 """Distance on the floor from a person to what they handle, at most [m]."""
 _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
-
-
-class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
-    """A task in words in an episode file."""
-
-    extra: Mapping[str, Any]
-    """`Episode.extra`: propositions, layout, states, errands."""
 
 
 class LanguageCodec(RearrangeCodec):
@@ -73,20 +67,39 @@ class LanguageCodec(RearrangeCodec):
     entry = EpisodeCodec[StoredRearrangement].entry  # not in the form of Habitat's rearrangement episodes
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
-        """Record in an entry of a file; None if the entry belongs to another task.
+        """Record in an entry of a file, ours or PARTNR's, which gets the seed; None if the entry belongs to another task.
 
         Raises:
-            InputError: its propositions are malformed or name what is not in the home.
+            FormatError, InputError: its propositions are malformed, or ask for what cannot be played.
         """
-        del seed
         record = read_info_block(entry, self.task.name, StoredLanguage)
         if record is not None:
             check_extra(record.extra, len(record.goals))
+        elif task_of(entry) is None and (record := read_episode(entry)) is not None:
+            record = msgspec.structs.replace(record, seed=seed)
         return record
 
+    def rules(self, record: StoredRearrangement) -> LanguageSpec:
+        """Rules in a record; PARTNR's episodes may last longer than ours."""
+        spec = super().rules(record)
+        assert isinstance(spec, LanguageSpec)
+        return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
+
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
-        """Episode of a record in an opened scene."""
+        """Episode of a record in an opened scene, where PARTNR's gets places for its things.
+
+        Raises:
+            InputError, SceneError: PARTNR's episode asks for what is not in the scene, or cannot be done in it.
+        """
         assert isinstance(record, StoredLanguage)
+        if not record.is_planned:
+            scene, _ = self._furnished(record, place)
+            pair = place.robot or ROBOT_BODY, with_body(place.human, "")
+            bodies = load_robot(pair[0]), load_humanoid(pair[1])
+            spec = replace(place.spec, floor_moves=rules_in(scene, place.spec).floor_moves)
+            targets, extra = plan_episode(record, scene, place.free, spec, *bodies)
+            goals = tuple(goal_record(target) for target in targets)
+            record = msgspec.structs.replace(record, goals=goals, placements=(), com_frames=False, extra=extra)
         return replace(super().episode(record, place), extra=record.extra)
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
@@ -236,6 +249,13 @@ class LanguageHousehold(Household):
         return "no_space" if spot is None else spot
 
 
+def _later_goals(extra: Mapping[str, Any], thing: str) -> list[tuple[NDArray[np.float64], str]]:
+    """Goals of a thing after the first, with their receptacles, which are named where they may be in drawers."""
+    goals = extra["later_goals"].get(thing, ())
+    names = extra.get("later_receptacles", {}).get(thing, [""] * len(goals))
+    return [(np.array(goal, np.float64), name) for goal, name in zip(goals, names, strict=True)]
+
+
 def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Action:
     """The choice by which a thing goes to another place: it takes no time, and ``nav_to_goal`` and ``place`` then go there.
 
@@ -301,7 +321,7 @@ class Language(Rearrange):
             "evaluation": Evaluation.of(extra),
             "layout": msgspec.convert(extra[LAYOUT], Layout),
             "states": np.array([extra["states"][name] for name in STATES], np.bool_),
-            "later": [list(extra["later_goals"].get(t.name, ())) for t in play.episode.targets],
+            "later": [_later_goals(extra, t.name) for t in play.episode.targets],
             "handled": np.zeros(len(play.episode.targets), np.int64),
             "rows": [],
             "quiet": 0,
@@ -316,7 +336,7 @@ class Language(Rearrange):
         row = state.object_pose[0].astype(np.float32), held.copy(), memory["states"].copy()
         for k, later in enumerate(memory["later"]):
             if later and at_goal[k]:
-                play.team.objects.goals[k] = later.pop(0)
+                play.team.set_goal(k, *later.pop(0))
         before = memory["complete"]
         if self._is_new(memory, row):
             memory["rows"].append(row)

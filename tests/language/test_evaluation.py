@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import to_builtins
 
 from h3data.errors import InputError
 from h3data.metrics import measure, series_of
@@ -15,7 +16,14 @@ from h3data.recording import Agent, Episode, Event, Recording
 from h3data_language.evaluation.engine import _asked, _relation, evaluate, rows_of
 from h3data_language.evaluation.layout import FurnitureBox, Layout, Surface, ThingBox
 from h3data_language.evaluation.predicates import Rows, truth_of
-from h3data_language.evaluation.records import Dependency, Evaluation, Proposition
+from h3data_language.evaluation.records import (
+    CONSTRAINTS,
+    DEPENDENCIES,
+    PROPOSITIONS,
+    Dependency,
+    Evaluation,
+    Proposition,
+)
 
 LAYOUT = Layout(
     things={name: ThingBox(k, (0, 0.05, 0), (0.04, 0.05, 0.04)) for k, name in enumerate(("mug_0", "mug_1", "can_0"))},
@@ -131,7 +139,7 @@ def test_states_are_columns_and_false_without() -> None:
 
 def test_a_count_is_unrolled_and_counts_towards_the_share() -> None:
     two = told(on(["mug_0", "mug_1"], number=2), constraints=[terminal(0)])
-    assert [p.number for p in two.propositions] == [1, 2]
+    assert [p.number for p in two.propositions] == [2, 1]
     verdict = evaluate(two, rows(("table", "shelf", "air")))
     assert verdict.percent_complete == 0.5
     assert "is on top (2 of mug_0, mug_1; table_0) was never satisfied" in verdict.explanation
@@ -142,6 +150,26 @@ def test_partnr_renumbers_dependencies_by_its_loop_counter() -> None:
     after = {"proposition_indices": [1], "depends_on": [0], "relation_type": "after_satisfied"}
     assert told(*listed, dependencies=[after]).dependencies[0].proposition_indices == [1, 2]
     assert told(*listed, dependencies=[after], bugs=True).dependencies[0].proposition_indices == [1, 1]
+    # the wrong number is that of another proposition, whose copies then depend on it too
+    after = {**after, "proposition_indices": [0], "depends_on": [2]}
+    listed = (on(["mug_0", "mug_1"], number=2), on(["mug_1", "can_0"], number=2), on(["can_0"]))
+    assert told(*listed, dependencies=[after]).dependencies[0].proposition_indices == [0, 3]
+    assert told(*listed, dependencies=[after], bugs=True).dependencies[0].proposition_indices == [0, 1, 1]
+
+
+def test_what_depends_on_a_count_depends_on_all_of_it() -> None:
+    listed = (on(["mug_0", "mug_1"], number=2), on(["can_0"]))
+    before = {"proposition_indices": [1], "depends_on": [0], "relation_type": "before_satisfied"}
+    assert told(*listed, dependencies=[before]).dependencies[0].depends_on == [0]
+    one_mug_first = rows(("table", "air", "air"), ("table", "air", "table"))
+    assert evaluate(told(*listed, dependencies=[before]), one_mug_first).satisfied_at.tolist() == [-1, 1, 0]
+
+
+def test_after_something_became_false_also_means_when_it_is_true_again() -> None:
+    listed = (on(["mug_0"]), on(["can_0"]))
+    after = {"proposition_indices": [1], "depends_on": [0], "relation_type": "after_unsatisfied"}
+    at = rows(*[(mug, "air", can) for mug, can in (("table", "table"), ("air", "table"), ("table", "table"))])
+    assert evaluate(told(*listed, dependencies=[after]), at).satisfied_at.tolist() == [0, 2]
 
 
 def test_an_order_voids_what_came_too_early_also_in_the_same_row() -> None:
@@ -163,12 +191,59 @@ def test_what_has_to_stay_must_be_there_at_the_end() -> None:
     assert "not any more at the end" in verdict.explanation
 
 
-def test_arguments_have_to_be_the_same_or_different() -> None:
+def arguments(kind: str, *indices: int, name: str = "receptacle_handles") -> Any:
+    return {
+        "type": f"{kind}ArgConstraint",
+        "args": {"proposition_indices": list(indices), "arg_names": [name] * len(indices)},
+    }
+
+
+def test_the_first_to_come_true_decides_which_arguments_are_the_same_or_different() -> None:
     listed = (on(["mug_0"], EVERYWHERE), on(["mug_1"], EVERYWHERE))
-    for kind, place, share in (("Same", "table", 1), ("Same", "shelf", 0), ("Different", "table", 0)):
-        names = {"proposition_indices": [0, 1], "arg_names": ["receptacle_handles"] * 2}
-        asked = told(*listed, constraints=[{"type": f"{kind}ArgConstraint", "args": names}])
-        assert evaluate(asked, rows(("table", place, "air"))).percent_complete == share
+    for kind, place, whole in (("Same", "table", True), ("Same", "shelf", False), ("Different", "table", False)):
+        asked = told(*listed, constraints=[arguments(kind, 0, 1)])
+        assert evaluate(asked, rows(("table", "air", "air"), ("table", place, "air"))).complete.tolist() == [
+            True,
+            whole,
+        ]
+        assert evaluate(asked, rows(("air", place, "air"), ("table", place, "air"))).complete.tolist() == [whole, True]
+
+
+def test_counts_of_one_proposition_need_not_differ_among_themselves() -> None:
+    asked = told(
+        on(["mug_0", "mug_1"], EVERYWHERE, 2), on(["can_0"], EVERYWHERE), constraints=[arguments("Different", 0, 1)]
+    )
+    apart = rows(("table", "air", "air"), ("table", "table", "air"), ("table", "table", "shelf"))
+    assert evaluate(asked, apart).percent_complete == 1
+    together = rows(("table", "air", "air"), ("table", "table", "air"), ("table", "table", "table"))
+    assert evaluate(asked, together).complete.tolist() == [True, False, True]
+
+
+def test_partnr_compares_handles_by_their_letters() -> None:
+    asked = [on(["mug_0"], EVERYWHERE), on(["mug_1"], EVERYWHERE)]
+    at = rows(("table", "air", "air"), ("table", "shelf", "air"))
+    for kind, right, theirs in (("Same", False, True), ("Different", True, False)):
+        for bugs, whole in ((False, right), (True, theirs)):
+            evaluation = told(*asked, constraints=[arguments(kind, 0, 1)], bugs=bugs)
+            verdict = evaluate(evaluation, Rows(at.layout, at.poses, at.held, {}, bugs))
+            assert verdict.complete.tolist() == [True, whole]
+
+
+def test_arguments_of_clusters_are_their_members() -> None:
+    close = ("is_clustered", {"*args": [["mug_0", "mug_1"], ["can_0"]], "number": [1, 1]})
+    names = {"proposition_indices": [0, 1], "arg_names": ["*args_0", "object_handles"]}
+    asked = told(close, on(["mug_0", "mug_1"]), constraints=[{"type": "SameArgConstraint", "args": names}])
+    assert evaluate(asked, rows(("air", "shelf", "shelf"), ("table", "shelf", "shelf"))).complete.tolist() == [
+        True,
+        False,
+    ]
+    assert evaluate(asked, rows(("air", "shelf", "shelf"), ("air", "table", "table"))).complete.tolist() == [True, True]
+
+
+def test_nothing_is_next_to_itself_except_for_partnr() -> None:
+    alone = Proposition("is_next_to", {"entity_handles_a": ["mug_0"], "entity_handles_b": ["mug_0"]})
+    assert truth_of(alone, rows(("table", "air", "air")))[0].tolist() == [False]
+    assert truth_of(alone, rows(("table", "air", "air"), bugs=True))[0].tolist() == [True]
 
 
 def test_a_thing_may_have_to_move_twice() -> None:
@@ -238,6 +313,7 @@ def test_malformed_propositions_are_refused(info: Any, words: str) -> None:
         [order((0, 0))],
         [terminal(7)],
         [{"type": "TemporalConstraint", "args": {"dag_edges": 3}}],
+        [arguments("Same", 0, 1, name="room_ids")],
     ],
 )
 def test_an_order_in_a_circle_and_propositions_that_do_not_exist_are_refused(constraints: Any) -> None:
@@ -255,9 +331,12 @@ def test_names_that_are_not_in_the_home_are_refused(asked: Any) -> None:
     assert refused.value.code.startswith("H3-LANGUAGE-")
 
 
-def recording(evaluation: Evaluation, at: Rows, events: Any = (), **info: Any) -> Recording:
-    from msgspec import to_builtins
+def json_of(evaluation: Evaluation) -> dict[str, Any]:
+    parts = (evaluation.propositions, evaluation.dependencies, evaluation.constraints)
+    return dict(zip((PROPOSITIONS, DEPENDENCIES, CONSTRAINTS), map(to_builtins, parts), strict=True))
 
+
+def recording(evaluation: Evaluation, at: Rows, events: Any = (), **info: Any) -> Recording:
     steps, columns = len(at.poses), {}
     for k in range(2):
         columns[f"agent_{k}.base_pose"] = np.zeros((steps, 7), np.float32)
@@ -271,7 +350,7 @@ def recording(evaluation: Evaluation, at: Rows, events: Any = (), **info: Any) -
             episode_id="e",
             task="language",
             scene="s",
-            info={**evaluation.to_json(), "evaluation_layout": to_builtins(LAYOUT), **info},
+            info={**json_of(evaluation), "evaluation_layout": to_builtins(LAYOUT), **info},
         ),
         assets=(AssetRef(name="mug", uri="primitive:box"),),
         bodies=tuple(

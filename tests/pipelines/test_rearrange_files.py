@@ -425,7 +425,7 @@ def test_partnr_episodes_are_played_where_they_ask_for_places(
     assert (shown["episodes"], shown["tasks"]) == (4, {"collaboration (PARTNR)": 4})
     assert shown["predicates"] == {"is_on_top": 5, "is_clean": 1}
     assert shown["instructions"] == ["Bring the can and the bowl to the table."]
-    assert sum(shown["unplayable"].values()) == 2
+    assert not shown["unplayable"]  # the others are tasks in words
 
 
 @pytest.mark.slow

@@ -170,10 +170,15 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
     if task_of(episode) is not None:
         return None
     placements = placements_of(episode)
-    return _of_habitat(episode, placements or ()) if placements is not None or episode.targets else None
+    return rearrangement_of(episode, placements or ()) if placements is not None or episode.targets else None
 
 
-def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
+def rearrangement_of(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
+    """Objects, targets and instruction of an episode of Habitat's files, whose targets count only without placements.
+
+    Raises:
+        InputError: a target is no object of it, or a pose is none.
+    """
     where = f"Episode {episode.episode_id!r}"
     handles = instance_handles(episode)
     asked = {} if placements else episode.targets

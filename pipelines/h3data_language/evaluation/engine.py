@@ -6,8 +6,11 @@ Dependencies look at the rows before, constraints at the rows in which propositi
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +18,10 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.recording.records import Recording
 from h3data_language.evaluation.layout import Layout
-from h3data_language.evaluation.predicates import Flags, Rows, truth_of
+from h3data_language.evaluation.predicates import Flags, Rows, members_of, truth_of
 from h3data_language.evaluation.records import ARGUMENTS, Constraint, Dependency, Evaluation, Proposition
 
+Names = AbstractSet[str]
 STATE_COLUMNS = {state: f"object_state.{state}" for state in ("clean", "filled", "powered")}
 """Columns with the states of things, bool [T, K]."""
 
@@ -116,10 +120,11 @@ def evaluate(evaluation: Evaluation, rows: Rows) -> Verdict:
     satisfied = _asked(evaluation, truth) if evaluation.dependencies else truth
     first = np.where(satisfied.any(0), satisfied.argmax(0), -1) if steps else np.full(count, -1)
     terminal = (satisfied if rows.bugs else truth)[-1] if steps else np.zeros(count, np.bool_)
-    pairs = [
-        p[stands_for[row]] if p is not None and row >= 0 else None for (_, p), row in zip(found, first, strict=True)
+    chosen = [
+        _arguments(p, some[stands_for[row]], rows.bugs) if row >= 0 else {}
+        for p, (_, some), row in zip(evaluation.propositions, found, first, strict=True)
     ]
-    admitted = [_admits(c, evaluation, first, terminal, pairs) for c in evaluation.constraints]
+    admitted = [_admits(c, first, terminal, chosen) for c in evaluation.constraints]
     return Verdict(
         evaluation=evaluation,
         satisfied_at=first.astype(np.int64),
@@ -159,16 +164,14 @@ def _relation(d: Dependency, satisfied: Flags) -> Flags:
     holds = {
         "while_satisfied": now,
         "after_satisfied": ever,
-        "after_unsatisfied": ever & ~now,
+        "after_unsatisfied": np.logical_or.accumulate(np.concatenate([now[:1], now[:-1] & ~now[1:]])),
         "before_satisfied": ~ever,
     }[d.relation_type]
     return holds.any(1) if d.dependency_mode == "any" else holds.all(1)
 
 
 # --- constraints ------------------------------------------------------------------------------------------------------
-def _admits(
-    c: Constraint, evaluation: Evaluation, first: NDArray[np.int64], terminal: Flags, pairs: list[Flags | None]
-) -> Flags:
+def _admits(c: Constraint, first: NDArray[np.int64], terminal: Flags, chosen: Sequence[Mapping[str, Names]]) -> Flags:
     admits = np.ones(len(first), np.bool_)
     if c.type == "TemporalConstraint":
         before = np.zeros((len(first), len(first)), np.bool_)
@@ -177,24 +180,34 @@ def _admits(
         for k in range(len(first)):  # ancestors of ancestors
             before |= before[:, k, None] & before[None, k]
         in_order = (first[:, None] >= 0) & (first[:, None] < first)
-        admits = (in_order | ~before).all(0) | (first < 0)
-    elif c.type == "TerminalSatisfactionConstraint":
+        return (in_order | ~before).all(0) | (first < 0)
+    if c.type == "TerminalSatisfactionConstraint":
         admits[c.indices] = terminal[c.indices] | (first[c.indices] < 0)
-    else:
-        chosen = [
-            _argument(evaluation.propositions[k], pairs[k], name)
-            for k, name in zip(c.indices, c.args["arg_names"], strict=True)
-        ]
-        known = [x for x in chosen if x is not None]
-        admits[c.indices] = len(set(known)) <= 1 if c.type == "SameArgConstraint" else len(set(known)) == len(known)
+        return admits
+    named = zip(c.indices, c.args["arg_names"], c.args["counts_of"], strict=True)
+    # the first one in time is right, whatever it has, and those after it are compared with it or with all before
+    known = sorted(((first[k], k, chosen[k][name], of) for k, name, of in named if first[k] >= 0), key=itemgetter(0))
+    for n, (_, k, names, of) in enumerate(known):
+        if c.type == "SameArgConstraint":
+            admits[k] &= not names.isdisjoint(known[0][2])
+        else:
+            admits[k] &= all(names.isdisjoint(other) for _, _, other, others in known[:n] if others != of)
     return admits
 
 
-def _argument(p: Proposition, pairs: Flags | None, name: str) -> str | None:
-    """The thing of an argument by which a proposition was first satisfied, from its pairs then [A, B]; None: it never was."""
-    names = ARGUMENTS[p.function_name]
-    if pairs is None or name not in names:
-        return None
-    side = names.index(name)
-    at = pairs.sum(0) >= p.number if side and p.is_same else pairs.any(1 - side)
-    return p.things[side][int(np.argmax(at))]
+def _arguments(p: Proposition, pairs: Flags, bugs: bool) -> dict[str, Names]:
+    """The things by which a proposition became true, by argument, from its pairs [A, B] then, or a cluster's members [N].
+
+    PARTNR compares two handles as if they were lists, by their letters; with ``bugs``, names are sets of letters.
+    """
+    if p.function_name == "is_clustered":
+        members = {name for name, inside in zip(members_of(p), pairs, strict=True) if inside}
+        return {f"*args_{n}": members & set(group) for n, group in enumerate(p.things)}
+    if p.is_same:
+        b = int(np.argmax(pairs.sum(0) >= p.number))
+        at = int(np.flatnonzero(pairs[:, b])[p.number - 1]), b
+    else:
+        counted = pairs if bugs else pairs & (np.cumsum(pairs, 1) == 1)
+        at = tuple(np.argwhere(counted)[p.number - 1])
+    names = [listed[k] for listed, k in zip(p.things, at, strict=False)]
+    return {key: set(name) if bugs else {name} for key, name in zip(ARGUMENTS[p.function_name], names, strict=True)}

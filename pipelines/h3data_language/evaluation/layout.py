@@ -146,11 +146,12 @@ class Layout(msgspec.Struct, frozen=True):
 
 
 def owner_of(scene: Scene, name: str) -> str:
-    """The thing that a part belongs to: a drawer to its cabinet."""
+    """The thing that a part belongs to: a drawer to its cabinet, a link of an articulated object of Habitat's to the object."""
     for thing in scene.articulations:
         if any(name in part.instances for part in thing.parts):
-            return thing.base or thing.name
-    return name
+            name = thing.base or thing.name
+            break
+    return name.partition("/")[0]
 
 
 def _bounds(matrix: NDArray[np.float64], bounds: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -126,7 +126,7 @@ def _holds(p: Proposition, name: str, rows: Rows, a: str, b: str) -> Flags:
         for each in (a, b):
             rows.layout.require(each, "things", "furniture")
         near = next_to(*rows.box(a), *rows.box(b), p.args.get("l2_threshold", NEXT_TO_M))
-        return near & rows.loose(a) & rows.loose(b)
+        return near & rows.loose(a) & rows.loose(b) & (a != b or rows.bugs)
     rows.layout.require(a, "things")
     if name == "is_on_floor":
         center, half = rows.box(a)
@@ -174,14 +174,19 @@ def next_to(center: NDArray, half: NDArray, other: NDArray, other_half: NDArray,
     return high & (distance - (along * sizes).sum(1) <= within_m)
 
 
-def clustered(p: Proposition, rows: Rows) -> Flags:
-    """Rows in which some group of things next to each other has enough of each list [T].
+def members_of(p: Proposition) -> list[str]:
+    """All N names in a proposition about a cluster."""
+    return list(dict.fromkeys(name for group in p.things for name in group))
+
+
+def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
+    """Rows in which some group of things next to each other has enough of each list [T], and the largest such group [T, N].
 
     Raises:
         InputError: a thing does not exist.
     """
     groups = p.things
-    names = list(dict.fromkeys(name for group in groups for name in group))
+    names = members_of(p)
     counts = p.args.get("number", [1] * len(groups))
     counts = counts if isinstance(counts, list) else [counts] * len(groups)
     for name in names:
@@ -195,18 +200,19 @@ def clustered(p: Proposition, rows: Rows) -> Flags:
     for k in range(len(names)):
         reach |= reach[:, :, k, None] & reach[:, None, k, :]
     members = np.array([[name in group for name in names] for group in groups], np.int64)
-    enough = reach.astype(np.int64) @ members.T >= np.array(counts)
-    return np.asarray(enough.all(-1).any(-1))
+    enough = (reach.astype(np.int64) @ members.T >= np.array(counts)).all(-1)
+    largest = np.argmax(enough * reach.sum(-1), 1)
+    return np.asarray(enough.any(-1)), reach[np.arange(len(reach)), largest]
 
 
-def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags | None]:
-    """Rows in which a proposition is true [T], and the pairs behind it, as `pairs_of`; None where it has none.
+def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
+    """Rows in which a proposition is true [T], and the pairs behind it as in `pairs_of`, or the members of the cluster.
 
     Raises:
         InputError: a name in it does not exist in the home.
     """
     if p.function_name == "is_clustered":
-        return clustered(p, rows), None
+        return clustered(p, rows)
     pairs = pairs_of(p, rows)
     if p.is_same:
         return (pairs.sum(1) >= p.number).any(1), pairs

@@ -127,16 +127,8 @@ class Evaluation:
         for d in dependencies:
             _check_indices([*d.proposition_indices, *d.depends_on], count)
         for c in constraints:
-            _check_constraint(c, count)
+            _check_constraint(c, propositions)
         return _unrolled(propositions, dependencies, constraints, bugs)
-
-    def to_json(self) -> dict[str, Any]:
-        """The entries of an info that `of` reads."""
-        return {
-            PROPOSITIONS: msgspec.to_builtins(self.propositions),
-            DEPENDENCIES: msgspec.to_builtins(self.dependencies),
-            CONSTRAINTS: msgspec.to_builtins(self.constraints),
-        }
 
 
 def _malformed(why: str) -> InputError:
@@ -176,16 +168,23 @@ def _check_indices(indices: Any, count: int) -> None:
         )
 
 
-def _check_constraint(c: Constraint, count: int) -> None:
+def _check_constraint(c: Constraint, propositions: Sequence[Proposition]) -> None:
     if c.type != "TemporalConstraint":
-        _check_indices(c.indices, count)
+        _check_indices(c.indices, len(propositions))
         names = c.args.get("arg_names", [])
         if "Arg" in c.type and (not isinstance(names, list) or len(names) != len(c.indices)):
             raise _malformed(f"{c.type} needs one of arg_names for each of its propositions")
+        for k, name in zip(c.indices, names, strict=False):
+            p = propositions[k]
+            known = ARGUMENTS[p.function_name]
+            if known == ("*args",):
+                known = tuple(f"*args_{n}" for n in range(len(p.things)))
+            if "Arg" in c.type and name not in known:
+                raise _malformed(f"{c.type} names {name!r} of {p.function_name}, which has {', '.join(known)}")
         return
     if not isinstance(c.edges, list) or any(not isinstance(e, list) or len(e) != 2 for e in c.edges):
         raise _malformed("dag_edges of a TemporalConstraint are pairs of propositions")
-    _check_indices([k for edge in c.edges for k in edge], count)
+    _check_indices([k for edge in c.edges for k in edge], len(propositions))
     graph: dict[int, set[int]] = {}
     for earlier, later in c.edges:
         graph.setdefault(later, set()).add(earlier)
@@ -205,40 +204,34 @@ def _unrolled(
     constraints: Sequence[Constraint],
     bugs: bool,
 ) -> Evaluation:
-    found: list[Proposition] = []
-    places: list[list[int]] = []
-    for p in propositions:
-        counts = range(1, p.number + 1) if isinstance(p.number, int) else (p.number,)
-        places.append(list(range(len(found), len(found) + len(counts))))
-        found += [Proposition(p.function_name, {**p.args, "number": n}) for n in counts]
+    """Add the propositions about fewer things at the end of the list, as PARTNR does, and let all else speak of them too.
 
-    def spread(indices: Sequence[int]) -> list[int]:
-        return [k for index in indices for k in places[index]]
+    What depends on a counted proposition depends on the whole count.
+    """
+    found = list(propositions)
+    places = [[k] for k in range(len(found))]
+    listed = [list(d.proposition_indices) for d in dependencies]
+    for k, p in enumerate(propositions):
+        for n in range(1, p.number if isinstance(p.number, int) else 1):
+            places[k].append(len(found))
+            for indices in listed:
+                # PARTNR's code appends its loop counter; the wrong number may then be that of a later proposition
+                indices += [n if bugs else len(found)] * (k in indices)
+            found.append(Proposition(p.function_name, {**p.args, "number": n}))
 
-    def misspread(indices: Sequence[int]) -> list[int]:
-        """The first place of each, then the counter of PARTNR's loop in place of the further ones."""
-        return [k for index in indices for k in (places[index][0], *range(1, len(places[index])))]
-
-    def told(c: Constraint) -> Constraint:
+    def spread(c: Constraint) -> Constraint:
         if c.type == "TemporalConstraint":
-            edges = [[a, b] for early, late in c.edges for a in places[early] for b in places[late]]
-            return Constraint(c.type, {**c.args, "dag_edges": edges, "n_propositions": len(found)})
-        names = c.args.get("arg_names")
-        args = {**c.args, "proposition_indices": spread(c.indices), "n_propositions": len(found)}
-        if names is not None:
-            args["arg_names"] = [name for name, k in zip(names, c.indices, strict=True) for _ in places[k]]
-        return Constraint(c.type, args)
+            return Constraint(c.type, {"dag_edges": [[a, b] for i, j in c.edges for a in places[i] for b in places[j]]})
+        names = dict(zip(c.indices, c.args.get("arg_names", [""] * len(c.indices)), strict=True))
+        added = sorted(n for k in names for n in places[k][1:])
+        # the order decides between propositions of the same row
+        indices = [*names, *added] if c.type != "DifferentArgConstraint" else [*added[::-1], *names]
+        origin = {n: k for k in names for n in places[k]}
+        args = {"arg_names": [names[origin[n]] for n in indices], "counts_of": [origin[n] for n in indices]}
+        return Constraint(c.type, {"proposition_indices": indices, **args})
 
     return Evaluation(
         tuple(found),
-        tuple(
-            Dependency(
-                [k for k in (misspread if bugs else spread)(d.proposition_indices) if k < len(found)],
-                spread(d.depends_on),
-                d.relation_type,
-                d.dependency_mode,
-            )
-            for d in dependencies
-        ),
-        tuple(map(told, constraints)),
+        tuple(msgspec.structs.replace(d, proposition_indices=k) for d, k in zip(dependencies, listed, strict=True)),
+        tuple(map(spread, constraints)),
     )

@@ -15,6 +15,7 @@ from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, Rearran
 from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
 from h3data.recording.task_episodes.stored_episodes import task_of
 from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement, read_rearrangement
+from sim_kinematic.tasks.registry import find_task
 
 _LISTED = 6
 _LONGEST = 48
@@ -111,7 +112,7 @@ def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
         if isinstance(text, str) and text:
             instructions[text] = None
         try:
-            record = read_rearrangement(episode)
+            record = _record_of(episode)
             nav = read_social_nav(episode) if record is None else None
         except H3DataError as fault:
             unplayable[str(fault).replace(f"Episode {episode.episode_id!r}", "it").removeprefix("it: ")] += 1
@@ -123,7 +124,7 @@ def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
             templates.update(_templates(record))
             sources.update(goal.source for goal in record.goals if goal.source)
             destinations.update(goal.destination for goal in record.goals if goal.destination)
-            destinations.update(" or ".join(placement.receptacles) for placement in record.placements)
+            destinations.update(" or ".join(p.receptacles) for p in record.placements if p.receptacles)
             carried += [float(np.hypot(g.start[0] - g.position[0], g.start[2] - g.position[2])) for g in record.goals]
             if record.robot_start is not None and record.human_start is not None:
                 starts = record.robot_start, record.human_start
@@ -149,6 +150,17 @@ def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
         unplayable=_sorted(unplayable),
         warnings=episodes.warnings,
     )
+
+
+def _record_of(episode: RearrangeEpisode) -> StoredRearrangement | None:
+    """What a file says about an episode with objects: by the task ``language`` for PARTNR's, if that is installed."""
+    if PROPOSITIONS in episode.extra and task_of(episode) is None:
+        try:
+            codec = find_task("language").codec
+        except H3DataError:
+            return read_rearrangement(episode)
+        return codec.read(episode, seed=0)
+    return read_rearrangement(episode)
 
 
 def _task(episode: RearrangeEpisode) -> str:
