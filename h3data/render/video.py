@@ -158,10 +158,17 @@ class VideoWriter:
         if self.width % 2 or self.height % 2:
             image = np.pad(image, ((0, self.height % 2), (0, self.width % 2), (0, 0)), mode="edge")
         height, width = image.shape[:2]
-        planes = np.empty((height * 3 // 2, width), np.uint8)
-        chroma = planes[height:].reshape(2, height // 2, width // 2)
-        _to_yuv(np.ascontiguousarray(image), planes[:height], chroma[0], chroma[1])
-        return planes
+        frame = _import_av().VideoFrame(width, height, _SETTINGS[self.codec].pixels)
+        # written in place where FFmpeg's rows lie close together, which spares a copy
+        written = [np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size) for plane in frame.planes]
+        planes = [
+            np.ascontiguousarray(rows[:, : plane.width]) for rows, plane in zip(written, frame.planes, strict=True)
+        ]
+        _to_yuv(np.ascontiguousarray(image), *planes)
+        for rows, plane in zip(written, planes, strict=True):
+            if rows.shape != plane.shape:
+                rows[:, : plane.shape[1]] = plane
+        return frame
 
     def write_planes(self, planes: Any) -> None:
         """Appends one frame converted by `planes`."""
@@ -177,8 +184,7 @@ class VideoWriter:
             packet.pts = packet.dts = self.frame_count
             self._container.mux(packet)
         else:
-            frame = _import_av().VideoFrame.from_ndarray(planes, format=_SETTINGS[self.codec].pixels)
-            for packet in self._stream.encode(frame):
+            for packet in self._stream.encode(planes):
                 self._container.mux(packet)
         self.frame_count += 1
 

@@ -6,6 +6,7 @@ Poses come from the host. For thousands of worlds, or if poses are on the device
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ class GpuEngine:
 
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         self.scene, self.light, self.world_count = scene, light, worlds
-        self._stage = GpuScene(scene, moving=range(len(scene.instances)))
+        self._stage = _whole(scene)
         self._matrix = np.tile(scene.instance_matrix, (worlds, 1, 1, 1))
         self._visible = np.ones((worlds, len(scene.instances)), np.bool_)
         self._vertices: dict[int, NDArray[np.float32]] = {}
@@ -97,6 +98,12 @@ class GpuEngine:
             renderer.update_blockers(self._blockers)
         self._poses_stale, self._blockers_stale, self._stale_meshes = False, False, set()
         return renderer
+
+
+@lru_cache(maxsize=1)
+def _whole(scene: RenderScene) -> GpuScene:
+    """A scene in which everything may move: the same object again for the last one, which is packed already."""
+    return GpuScene(scene, moving=range(len(scene.instances)))
 
 
 def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict[str, Any]:

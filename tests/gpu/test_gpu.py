@@ -433,6 +433,9 @@ def test_one_renderer_for_both_back_ends(make):
         for k in range(3):
             assert_alike({n: t[k].cpu().numpy() for n, t in got.items()}, {n: a[k] for n, a in want.items()})
     assert list(gpu.poses(1).vertices) == [2]
+    packed = pack_scenes.cache_info().misses
+    Engine(scene, light=Light(), worlds=3).render(cameras[:1], [2], OUTPUTS, 1, None)
+    assert pack_scenes.cache_info().misses == packed, "the next renderer of a scene must not pack it again"
 
 
 def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
