@@ -73,11 +73,8 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
     )
     try:
         propositions = _original(Evaluation.of(entry.extra), entry.extra)
-        states = msgspec.convert(entry.extra.get("object_states") or {}, dict[str, dict[str, bool]])
     except InputError as fault:
         raise InputError(f"{where}: {fault}", code=fault.code) from None
-    except msgspec.ValidationError as fault:
-        raise FormatError(f"{where}: object_states: {str(fault).replace('`', '')}", code="H3-LANGUAGE-032") from None
     things = list(handles)
     if not propositions or not things:
         raise InputError(
@@ -90,15 +87,27 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
             raise InputError(
                 f"{where} asks for a state of furniture, and only those of its objects change.", code="H3-LANGUAGE-024"
             )
-    flags = {
-        state: [bool(states.get(name, {}).get(thing, False)) for thing in things]
-        for state, name in (("clean", "is_clean"), ("filled", "is_filled"), ("powered", "is_powered_on"))
-    }
     extra = {key: entry.extra.get(key) or [] for key in (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS)}
     return StoredLanguage(
         **{f: getattr(base, f) for f in base.__struct_fields__},
-        extra={"template": "partnr", "kind": kind_of(propositions, extra), **extra, "states": flags},
+        extra={"template": "partnr", "kind": kind_of(propositions, extra), **extra, "states": states_of(entry, things)},
     )
+
+
+def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
+    """States of things at the start of an episode, by our names; false where the file does not say.
+
+    Raises:
+        FormatError: they are malformed.
+    """
+    try:
+        states = msgspec.convert(entry.extra.get("object_states") or {}, dict[str, dict[str, bool]])
+    except msgspec.ValidationError as fault:
+        raise FormatError(
+            f"Episode {entry.episode_id!r}: object_states: {str(fault).replace('`', '')}", code="H3-LANGUAGE-032"
+        ) from None
+    names = (("clean", "is_clean"), ("filled", "is_filled"), ("powered", "is_powered_on"))
+    return {state: [states.get(name, {}).get(thing, False) for thing in things] for state, name in names}
 
 
 def kind_of(propositions: Sequence[Proposition], extra: Mapping[str, Any]) -> Kind:

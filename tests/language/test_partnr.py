@@ -216,7 +216,7 @@ def test_what_cannot_be_played_anywhere_is_refused_in_one_sentence(maker: Maker)
         ("H3-LANGUAGE-006", maker.episode([asks("is_on_top", [mug], [table], 2)])),
         ("H3-LANGUAGE-007", maker.episode([asks("is_tasty", [mug])])),
         ("H3-LANGUAGE-009", maker.episode([on, on], evaluation_constraints=[circle])),
-        ("H3-LANGUAGE-021", maker.episode([on], object_states={"is_clean": 3})),
+        ("H3-LANGUAGE-032", maker.episode([on], object_states={"is_clean": 3})),
         ("H3-LANGUAGE-022", maker.episode([])),
         ("H3-LANGUAGE-023", maker.episode([asks("is_on_floor", [mug])])),
         ("H3-LANGUAGE-024", maker.episode([asks("is_powered_on", [table])])),
@@ -284,3 +284,68 @@ def test_info_counts_what_no_task_plays(maker: Maker, tmp_path: Path, capsys: py
     shown = run(capsys, "info", written(tmp_path / "val.json.gz", [*whole(maker), floor, floor]))["found"][0]
     assert shown["tasks"] == {"collaboration (PARTNR)": 6}
     assert list(shown["unplayable"].values()) == [2]
+
+
+# --- sessions of PARTNR's tool ----------------------------------------------------------------------------------------
+def session_of(maker: Maker, **episode: Any) -> dict[str, Any]:
+    """A session in which a user takes the mug to the bed and washes it, while nobody moves the cup."""
+    mug, cup = maker.objects
+    surface = next(s for s in maker.layout.furniture[maker.furniture("bed")].surfaces if not s.inside)
+    frames = []
+    for k in range(6):
+        held, done = 1 <= k < 4, k >= 4
+        at = [surface.center[0], surface.center[1] + 0.05, surface.center[2]] if done else [3.0, 1.2, 3.0]
+        events = [{"type": "place", "obj_handle": mug}] if k == 4 else []
+        if k == 5:
+            events = [{"type": "state_change", "obj_handle": mug, "new_value": True, "state_name": "is_clean"}]
+        things = [(mug, 5, at, k == 5), (cup, 6, [1.0, 0.5, 1.0], False)]
+        frames.append(
+            {
+                "t": 0.1 * k,
+                "users": [{"events": events, "held_object": 5 if held else None}],
+                "object_states": [
+                    {
+                        "position": place,
+                        "rotation": [0, 0, 0, 1],
+                        "object_handle": name,
+                        "object_id": number,
+                        "states": {"is_clean": clean},
+                    }
+                    for name, number, place, clean in things
+                ],
+                "agent_states": [
+                    {"position": [2, 0.92, 0.04 * k], "rotation": [-0.5, -0.5, 0.5, 0.5], "grasp_mgr_snap_idx": None}
+                ],
+            }
+        )
+    told = {"episode_id": "334", "scene_id": maker.scene_id, "user_index_to_agent_index_map": {"0": 0}, **episode}
+    return {"session": {}, "users": [], "frames": frames, "episode": told}
+
+
+def test_sessions_are_evaluated_with_the_propositions_of_their_episodes(
+    maker: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mug, bed = maker.objects[0], maker.furniture("bed")
+    asked = maker.episode(
+        [asks("is_on_top", [mug], [bed]), asks("is_clean", [mug])],
+        evaluation_constraints=[order(2, (0, 1)), terminal(0, 1)],
+    )
+    file = written(
+        tmp_path / "val.json.gz",
+        [asked, {**asked, "episode_id": "335", "evaluation_propositions": [asks("is_clean", ["?"])] * 2}],
+    )
+    for name, number in (("0", "334"), ("1", "335"), ("2", "336")):
+        (tmp_path / "logs").mkdir(exist_ok=True)
+        (tmp_path / "logs" / f"{name}.json").write_text(json.dumps(session_of(maker, episode_id=number)))
+    run(capsys, "import", tmp_path / "logs", "-o", tmp_path / "rec")
+    words = ("--episodes-file", file, "--assets", maker.root, "-o", tmp_path / "told")
+    said = run(capsys, "language", "attach", *sorted((tmp_path / "rec").rglob("*.mcap")), *words, code=1)
+    assert len(said["written"]) == 1
+    assert sorted(reason[-16:-1] for reason in said["left_out"]) == ["H3-LANGUAGE-004", "H3-LANGUAGE-033"]
+    for profile in ("partnr", "partnr@habitat"):
+        row = run(capsys, "metrics", said["written"][0], "--profile", profile)["episodes"][0]
+        assert row["values"]["PC"] == 1
+        assert row["values"]["state_success"] == 1
+    verdict = verdict_of(h3data.open(said["written"][0]))
+    assert verdict.satisfied_at.tolist() == [4, 5]
+    assert run(capsys, "metrics", said["written"][0])["episodes"][0]["values"]["offloading"] == 0

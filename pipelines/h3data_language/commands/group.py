@@ -1,4 +1,4 @@
-"""``h3data language templates`` and ``h3data language verify``."""
+"""``h3data language templates``, ``h3data language verify`` and ``h3data language attach``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from h3data.commands import Group, JsonFlag, Outcome
+from h3data.commands.command import AssetsOption, ForceFlag
 from h3data.commands.executors import opened
-from h3data.errors import InputError, SceneError
+from h3data.errors import H3DataError, InputError, SceneError
 from h3data.progress import progress
 from h3data.terminal import aligned, counted
 
@@ -112,7 +116,67 @@ class LanguageVerify:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class LanguageAttach:
+    """Give imported sessions of PARTNR's tool the propositions of their episodes, so that h3data metrics evaluates them.
+
+    A session names its episode, and the file of episodes has the rest; scenes and objects are searched as for
+    h3data generate --episodes-file. The recordings are written anew, with the profile `partnr`. A session without an episode in
+    the file, or in a scene that is not there, is listed with the reason.
+
+    Examples:
+        h3data import hitl_data/ -o rec/
+        h3data language attach rec/*.mcap --episodes-file val_mini.json.gz --assets data/ -o told/
+        h3data metrics told/*.mcap
+        h3data metrics told/*.mcap --profile partnr@habitat
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """Imported recordings: .mcap files, datasets, single episodes (ds#3)."""
+    episodes_file: Path
+    """PARTNR's file of episodes (.json.gz or .json)."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the recordings, one .mcap each."""
+    assets: AssetsOption = ()
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        """A line per reason for which recordings are left out; exit code 1 if there are any, 2 if all are."""
+        from h3data.commands.command import claim_file
+        from h3data.recording import write_mcap
+        from h3data.recording.finding import find_episodes
+        from h3data.recording.task_episodes.episode_files import episode_files
+        from h3data_language.trajectories import entry_of, with_propositions
+
+        entries = episode_files().read(self.episodes_file).episodes
+        written: list[Path] = []
+        left_out: dict[str, list[str]] = {}
+        for stored in find_episodes(self.paths):
+            recording = stored.read()
+            target = self.out / f"{Path(recording.episode.info.get('source', {}).get('file') or 'session').name}.mcap"
+            target = target.with_name(target.name.replace(".json", "").replace(".gz", ""))
+            try:
+                entry = entry_of(recording, entries)
+                told = with_propositions(recording, entry, self.episodes_file.parent, assets=self.assets)
+            except H3DataError as fault:
+                left_out.setdefault(f"{fault} [{fault.code}]", []).append(recording.episode.episode_id)
+                continue
+            while target in written:
+                target = target.with_stem(f"{target.stem}_")
+            claim_file(target, force=self.force)
+            write_mcap(told, target, overwrite=self.force)
+            written.append(target)
+        lines = [f"{counted(len(written), 'recording')} with propositions in {self.out}"]
+        lines += [f"left out {counted(len(names), 'recording')}: {reason}" for reason, names in left_out.items()]
+        return Outcome(
+            text="\n".join(lines),
+            data={"written": [str(path) for path in written], "left_out": left_out},
+            exit_code=0 if not left_out else 1 if written else 2,
+        )
+
+
 LANGUAGE = Group(
-    "Tasks in words: their templates, and whether tasks can be done.",
-    {"templates": LanguageTemplates, "verify": LanguageVerify},
+    "Tasks in words: their templates, whether tasks can be done, and propositions for sessions of PARTNR's tool.",
+    {"templates": LanguageTemplates, "verify": LanguageVerify, "attach": LanguageAttach},
 )

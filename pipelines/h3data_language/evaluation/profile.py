@@ -153,7 +153,7 @@ def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
         stored = [e for e in events if e.kind == "progress"]
         return Progress(_satisfied_at(recording), _constraints(recording), stored)
     verdict = verdict_of(recording, bugs=bugs)
-    acted = [e for e in events if e.kind in ("place", "state")]
+    acted = [e for e in events if e.kind in ("place", "state", "state_change")]
     found = []
     for p, row in zip(verdict.evaluation.propositions, verdict.satisfied_at.tolist(), strict=True):
         about = {name for names in p.things for name in names}

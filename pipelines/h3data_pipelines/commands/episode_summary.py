@@ -153,7 +153,7 @@ def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
 
 
 def _record_of(episode: RearrangeEpisode) -> StoredRearrangement | None:
-    """What a file says about an episode with objects: by the task ``language`` for PARTNR's, if that is installed."""
+    """Return the record of an episode with objects: that of the task ``language`` for PARTNR's, if it is installed."""
     if PROPOSITIONS in episode.extra and task_of(episode) is None:
         try:
             codec = find_task("language").codec
