@@ -21,7 +21,7 @@ from h3data.recording import STEP_NS, Agent, AssetRef, Body, DatasetWriter, Epis
 from h3data.tasks import Rearrange, WorldRollout
 from h3data_language.evaluation.layout import FurnitureBox, Layout, Surface, ThingBox
 from h3data_language.task import Language
-from h3data_llm.endpoint import Address
+from h3data_llm.endpoint import Address, HttpEndpoint
 from h3data_llm.policy import LanguageModelPolicy
 from sim_kinematic.tasks.runner import run as run_episode
 from sim_kinematic.tasks.runner import simulate
@@ -45,7 +45,8 @@ def _size(emit: Callable[[str, float, str], None]) -> None:
     """Tokens of 4 characters in the first request about a home of eleven rooms: tools and text, and the text alone."""
     task = Language()
     episode = task.episode(load_scene("medium2:0"), seed=0, spec=task.Spec(observe="seen"))
-    policy = LanguageModelPolicy(Address.of("llm:http://127.0.0.1/v1?model=m"), None, task, episode, 1)
+    address = Address.of("llm:http://127.0.0.1/v1?model=m")
+    policy = LanguageModelPolicy(address, HttpEndpoint(address), task, episode, 1)  # which is not asked
     nobody = [AssignedPolicy(None, "", member.kind) for member in episode.roster]
     body = json.loads(policy.request(WorldRollout.of(task, episode, nobody).view(1)))
     emit("language.request_tokens", len(json.dumps(body)) / 4, "tokens")
