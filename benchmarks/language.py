@@ -1,24 +1,101 @@
-"""Speed of the evaluation of propositions: 10,000 recordings of tasks in words, from a Parquet dataset to the table."""
+"""Tasks in words: the evaluation of 10,000 recordings, the size of a request, memory over 200 episodes, the cost of sight."""
 
 from __future__ import annotations
 
+import gc
+import json
 import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from h3data import load_scene
 from h3data.metrics import measure_files
+from h3data.policies import AssignedPolicy, resolve_policy
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, DatasetWriter, Episode, Event, Recording
+from h3data.tasks import Rearrange, WorldRollout
 from h3data_language.evaluation.layout import FurnitureBox, Layout, Surface, ThingBox
+from h3data_language.task import Language
+from h3data_llm.endpoint import Address, HttpEndpoint
+from h3data_llm.policy import LanguageModelPolicy
+from sim_kinematic.tasks.runner import run as run_episode
+from sim_kinematic.tasks.runner import simulate
 
 EPISODES, STEPS, BODIES, THINGS, FURNITURE, ROOMS = 10_000, 1_500, 100, 4, 24, 8
 
 
+MEMORY_EPISODES, MEMORY_HOMES, MEMORY_STEPS, WARM = 200, 4, 400, 40
+SIGHT_TURNS = 2
+
+
 def run(emit: Callable[[str, float, str], None]) -> None:
+    """Measure all of it; the recordings last, as they take longest to write."""
+    _size(emit)
+    _memory(emit)
+    _sight(emit)
+    _propositions(emit)
+
+
+def _size(emit: Callable[[str, float, str], None]) -> None:
+    """Tokens of 4 characters in the first request about a home of eleven rooms: tools and text, and the text alone."""
+    task = Language()
+    episode = task.episode(load_scene("medium2:0"), seed=0, spec=task.Spec(observe="seen"))
+    address = Address.of("llm:http://127.0.0.1/v1?model=m")
+    policy = LanguageModelPolicy(address, HttpEndpoint(address), task, episode, 1)  # which is not asked
+    nobody = [AssignedPolicy(None, "", member.kind) for member in episode.roster]
+    body = json.loads(policy.request(WorldRollout.of(task, episode, nobody).view(1)))
+    emit("language.request_tokens", len(json.dumps(body)) / 4, "tokens")
+    emit("language.world_text_tokens", sum(len(m["content"]) for m in body["messages"]) / 4, "tokens")
+
+
+def _memory(emit: Callable[[str, float, str], None]) -> None:
+    """Growth of the resident memory of one process from its 40th episode to its 200th, in four homes by turns."""
+    task, sizes = Language(), []
+    scenes = [load_scene(f"small:{k}") for k in range(MEMORY_HOMES)]
+    for k in range(MEMORY_EPISODES):
+        spec = task.Spec(max_steps=MEMORY_STEPS)
+        recording = simulate(task, task.episode(scenes[k % MEMORY_HOMES], seed=k, spec=spec))
+        assert len(recording) <= MEMORY_STEPS
+        sizes.append(_resident_mb())
+    emit(f"language.memory_growth_{MEMORY_EPISODES}_episodes_mb", max(sizes[WARM:]) - sizes[WARM - 1], "MiB")
+    emit("language.memory_mb", sizes[-1], "MiB")
+
+
+def _resident_mb() -> float:
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _sight(emit: Callable[[str, float, str], None]) -> None:
+    """CPU time of a step of rearrangement whose agents look with their own eyes, over that of one that knows everything."""
+    task, scene = Rearrange(), load_scene("h3-homes/test#0")
+    cost: dict[str, list[float]] = {"full": [], "seen": []}
+    for _ in range(SIGHT_TURNS + 1):
+        for observe, found in cost.items():
+            spec = task.Spec(observe=observe)
+            episode = task.episode(scene, seed=5, spec=spec)
+            rollout = WorldRollout.of(task, episode, _errands(task, episode))
+            start = time.process_time()
+            run_episode(rollout)
+            found.append((time.process_time() - start) / rollout.step)
+    full, seen = (min(found[1:]) for found in cost.values())
+    emit("language.step_full_ms", full * 1e3, "ms")
+    emit("language.step_seen_ms", seen * 1e3, "ms")
+    emit("language.sight_cost_percent", 100 * (seen / full - 1), "%")
+
+
+def _errands(task: Rearrange, episode: Any) -> list[AssignedPolicy]:
+    names = {"robot": "complement", "human": "both"}
+    return [resolve_policy(task, m.kind, names[m.kind])(episode, k) for k, m in enumerate(episode.roster)]
+
+
+def _propositions(emit: Callable[[str, float, str], None]) -> None:
     """Wall and CPU seconds for six propositions, with an order, dependencies and counts, in each recording."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "dataset"

@@ -42,6 +42,8 @@ from sim_kinematic.tasks.rearrange.episode import Target
 
 TRIES = 8
 """Choices of places that are tried."""
+LONGEST_INSTRUCTION = 5_000
+"""Largest number of characters in an instruction, which language models read again with each decision."""
 MAX_STEPS = 20_000
 """Longest duration of PARTNR's episodes."""
 
@@ -75,6 +77,11 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
         propositions = _original(Evaluation.of(entry.extra), entry.extra)
     except InputError as fault:
         raise InputError(f"{where}: {fault}", code=fault.code) from None
+    if len(base.instruction) > LONGEST_INSTRUCTION:
+        raise InputError(
+            f"{where} has an instruction of {len(base.instruction)} characters, expected at most {LONGEST_INSTRUCTION}.",
+            code="H3-LANGUAGE-034",
+        )
     things = list(handles)
     if not propositions or not things:
         raise InputError(

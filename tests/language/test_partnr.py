@@ -218,6 +218,7 @@ def test_what_cannot_be_played_anywhere_is_refused_in_one_sentence(maker: Maker)
         ("H3-LANGUAGE-009", maker.episode([on, on], evaluation_constraints=[circle])),
         ("H3-LANGUAGE-032", maker.episode([on], object_states={"is_clean": 3})),
         ("H3-LANGUAGE-022", maker.episode([])),
+        ("H3-LANGUAGE-034", maker.episode([on], instruction="a" * 1_000_000)),
         ("H3-LANGUAGE-023", maker.episode([asks("is_on_floor", [mug])])),
         ("H3-LANGUAGE-024", maker.episode([asks("is_powered_on", [table])])),
     ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -173,3 +174,17 @@ def test_pages_show_messages_and_do_not_run_their_markup(tmp_path: Path) -> None
     assert MARKUP not in page
     shown = [event["text"] for event in _events(made, np.arange(len(made)))]
     assert f'Robot says: "{MARKUP}"' in shown  # the player puts it into the page as text
+
+
+def test_pages_show_an_instruction_and_do_not_run_its_markup(tmp_path: Path) -> None:
+    words = f"Put {MARKUP}</script><script>alert(2)</script> on the desk."
+    task, path = replace(episode("two_on", seed=1, max_steps=10), wording=words), tmp_path / "told.mcap"
+    agents = {"robot": "language_still", "human": "language_still"}
+    simulate(Language(), task, agents, sink=lambda header: RecordingWriter(path, header))
+    assert main(["report", str(path), "--pictures", "1", "-o", str(tmp_path / "report.html")]) == 0
+    assert main(["view", str(path), "-o", str(tmp_path / "replay.html")]) == 0
+    for name in ("report", "replay"):
+        page = (tmp_path / f"{name}.html").read_text("utf-8")
+        assert MARKUP not in page
+        assert "<script>alert(2)" not in page
+    assert "Put &lt;img src=x onerror" in (tmp_path / "report.html").read_text("utf-8")

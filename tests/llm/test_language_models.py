@@ -218,7 +218,8 @@ BAD = {
     "a missing argument": (call("pick"), "H3-LLM-019"),
     "an argument too many": (call("done", now=True), "H3-LLM-019"),
     "a list as a name": (call("pick", thing=["x"]), "H3-LLM-021"),
-    "a message of a megabyte": (call("say", text="a" * 1_000), "H3-LLM-021"),
+    "a message of 20,000 letters": (call("say", text="a" * 20_000), "H3-LLM-016"),
+    "a message of a megabyte": (call("say", text="a" * 1_000_000), "H3-LLM-009"),
     "arguments that are no JSON": (
         {"content": None, "tool_calls": [{"function": {"name": "wait", "arguments": "{seconds"}}]},
         "H3-LLM-016",
