@@ -315,6 +315,8 @@ class ZmqConnection:
         # without LINGER 0, ending the context waits for ever for requests that a dead server never took
         for option, value in ((zmq.LINGER, 0), (zmq.MAXMSGSIZE, MOST_BYTES), (zmq.IPV6, int(":" in address.host))):
             self._socket.setsockopt(option, value)
+        # ZeroMQ connects again by itself and then waits for an answer that never comes; this socket tells of the break
+        self._breaks = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         try:
             self._socket.connect(str(address).replace("zmq://", "tcp://", 1))
             self._call("ping", None, CONNECT_S)
@@ -346,6 +348,9 @@ class ZmqConnection:
 
     def close(self) -> None:
         """Ends the conversation; more than once does nothing."""
+        if not self._socket.closed:
+            self._socket.disable_monitor()
+            self._breaks.close(linger=0)
         self._socket.close(linger=0)
         self._context.term()
 
@@ -359,9 +364,16 @@ class ZmqConnection:
         milliseconds = max(int(timeout_s * 1000), 1)
         try:
             self._socket.setsockopt(zmq.SNDTIMEO, milliseconds)
-            self._socket.setsockopt(zmq.RCVTIMEO, milliseconds)
             self._socket.send(GROOT.pack(request))
-            answer = _read(GROOT, self._socket.recv(), self._address)
+            poller = zmq.Poller()
+            poller.register(self._socket, zmq.POLLIN)
+            poller.register(self._breaks, zmq.POLLIN)
+            if self._breaks in dict(poller.poll(milliseconds)):
+                raise PolicyServerError(
+                    f"The policy server at {self._address} closed the connection, or sent more than {MOST_BYTES:,} bytes.",
+                    code="H3-REMOTE-061",
+                )
+            answer = _read(GROOT, self._socket.recv(zmq.NOBLOCK), self._address)
         except zmq.Again:
             raise PolicyServerError(
                 f"The policy server at {self._address} did not answer {endpoint!r} within {timeout_s:g} s.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -14,6 +15,9 @@ from websockets.sync.server import ServerConnection, serve
 
 from h3data.policies import Velocity
 from h3data_remote.wire import GROOT, OPENPI
+
+BREAK_OFF = object()
+"""An answer that is none: the server ends the conversation."""
 
 
 @contextmanager
@@ -35,12 +39,14 @@ def websocket_server(handle: Callable[[ServerConnection], object]) -> Iterator[s
 def answering(
     answer: Callable[[dict[str, Any]], Any], metadata: dict[str, Any] | None = None
 ) -> Callable[[ServerConnection], None]:
-    """Greets, then answers each request; bytes and text go out as they are."""
+    """Greets, then answers each request; bytes and text go out as they are, and `BREAK_OFF` ends the connection."""
 
     def handle(connection: ServerConnection) -> None:
         connection.send(OPENPI.pack(metadata or {}))
         while True:
             found = answer(OPENPI.unpack(bytes(connection.recv())))
+            if found is BREAK_OFF:
+                raise ConnectionResetError
             connection.send(found if isinstance(found, bytes | str) else OPENPI.pack(found))
 
     return handle
@@ -54,6 +60,7 @@ def groot_server(act: Callable[[dict[str, Any]], Any], asked: list[str] | None =
     port = sock.bind_to_random_port("tcp://127.0.0.1")
 
     def run() -> None:
+        nonlocal sock
         while not stop.is_set():
             if not sock.poll(20):
                 continue
@@ -62,6 +69,15 @@ def groot_server(act: Callable[[dict[str, Any]], Any], asked: list[str] | None =
             (asked if asked is not None else []).append(endpoint)
             if endpoint == "get_action":
                 answer = act(request["data"]["observation"])
+                if answer is BREAK_OFF:
+                    sock.close(linger=0)
+                    sock = context.socket(zmq.REP)
+                    while True:  # the old socket lets go of its port a moment later
+                        with suppress(zmq.ZMQError):
+                            sock.bind(f"tcp://127.0.0.1:{port}")
+                            break
+                        time.sleep(0.01)
+                    continue
                 sock.send(answer if isinstance(answer, bytes) else GROOT.pack(answer))
             else:
                 sock.send(GROOT.pack({"status": "ok"} if endpoint == "ping" else {}))

@@ -46,27 +46,6 @@ def test_a_dataset_and_an_evaluation_are_those_of_the_policy_in_process(
         assert verify(recording).difference is None
 
 
-def test_a_server_that_dies_costs_its_episodes_and_not_the_job(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    greeted: list[int] = []
-
-    def handle(connection: Any) -> None:
-        greeted.append(1)
-        if len(greeted) == 3:  # the first connection is the look before the job
-            raise ConnectionResetError
-        answering(followed)(connection)
-
-    common = ["social_nav", "--scenes", "small:3", "--episodes", "3", "--max-steps", "10", "--json"]
-    with websocket_server(handle) as address:
-        assert main(["generate", *common, "--policy", address, "-o", str(tmp_path / "ds")]) == 1
-    told = json.loads(capsys.readouterr().out)
-    (failed,) = told["failed"]
-    assert "The policy server at" in failed
-    assert told["episodes"] == 3
-    assert sum(not recording.episode.info.get("failed") for recording in Dataset(tmp_path / "ds")) == 2
-
-
 def test_an_evaluation_ends_with_what_it_has_when_its_server_goes_for_good(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
