@@ -31,7 +31,7 @@ from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, r
 from h3data.scene import FreeSpace
 from h3data_play.app import App, find_app
 from h3data_play.drivers import Driver
-from h3data_play.messages import Act, decode
+from h3data_play.messages import Act, Answer, End, Problem, Remark, decode
 from h3data_play.plan import VERSION, GameOrder, PlayPlan
 from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.agents.roster import HUMAN_BODY
@@ -274,6 +274,10 @@ class LiveGame:
         self.columns: Columns = {}
         self.ended = ""
         """Cause of the end of the episode."""
+        self._stopped = ""
+        """Reason for which a player ends the episode with the next step."""
+        self.remarks: list[dict[str, Any]] = []
+        """Problems that players have reported, and their answers to the app's question."""
         self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
         """Things that players have to open, by agent, with the floor and the state of doors and hands for which they were
         found."""
@@ -310,8 +314,17 @@ class LiveGame:
         Raises:
             InputError: the message is no command; nothing is recorded.
         """
+        if isinstance(message, Remark) and not self.app.question:
+            raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
         why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
+        if isinstance(message, End):
+            self._stopped = message.why
+        elif isinstance(message, Problem | Answer):
+            said = {"agent": number, "step": len(self.session.recorder), "text": message.text}
+            if isinstance(message, Answer):
+                said |= {"question": self.app.question, "answer": message.answer}
+            self.remarks.append(said)
         beside = self.session.recorder.beside
         if message.seq is not None:
             beside[seq_column(number)] = np.int32(message.seq)
@@ -350,7 +363,7 @@ class LiveGame:
             session.act(name, told[step] if step in told else policy.command(session.observe(name)))
         result: StepResult = session.step()
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
-        self.ended = self.app.step(result) or result.ended
+        self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
         self.packed = self.packer.pack(self.columns)
         return {number: text for number, text in sentences.items() if text}
@@ -385,7 +398,9 @@ class LiveGame:
         known = self._barriers.get(number)
         if known is None or known[0] is not team.floor or known[1] != key:
             barrier = partial(team.barrier, team.actors[number], detour_m=np.inf)
-            found = [[barrier(k, False) if is_seen else -1, barrier(k, True)] for k, is_seen in enumerate(seen)]
+            # where players are not told the goals, nothing tells what is before them
+            told = bool(self.app.goals())
+            found = [[barrier(k, False) if s else -1, barrier(k, True) if told else -1] for k, s in enumerate(seen)]
             self._barriers[number] = known = team.floor, key, found
         return known[2]
 
@@ -399,6 +414,17 @@ class LiveGame:
             return None
         points = zip(sight.known[number], sight.where[number].round(1).tolist(), strict=True)
         return [point if known else None for known, point in points]
+
+    def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
+        """Messages of agents that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        said = getattr(self.session.play.team, "messages", ())
+        name = self.session.episode.roster[number].name if number >= 0 else None
+        return [
+            {"n": n, "agent": e.agent, "to": e.target, "text": text, "own": text == e.detail}
+            for n, e in enumerate(said[since:], since)
+            for text in [self.app.spoken(e.detail)]
+            if name is None or e.agent == number or e.target in ("", name)
+        ]
 
     @property
     def floor(self) -> FreeSpace:
@@ -419,7 +445,8 @@ class LiveGame:
             return None
         hitl = session.recorder.header.episode.info["hitl"]
         ended = {"ended": self.ended} if self.ended and not session.ended else {}
-        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **facts, **(info or {})})
+        said = {"remarks": self.remarks} if self.remarks else {}
+        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped, **said}, **facts, **(info or {})})
 
     def _let_go(self) -> dict[str, Any]:
         """Ends the conversations with servers; returns what the recording says about them."""
