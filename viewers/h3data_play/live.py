@@ -238,6 +238,7 @@ class LiveGame:
                     self.waited_for[k] = in_background()
                     assigned = assigned._replace(policy=External(interrupts_when_close=False))
                 policies[episode.roster[k].name] = assigned
+        self._told_until = 0
         self._told: dict[int, dict[int, Any]] = {}
         """Their recorded commands by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
@@ -360,8 +361,12 @@ class LiveGame:
         step = len(session.recorder)
         for number, policy in self.waited_for.items():
             name, told = session.episode.roster[number].name, self._told.get(number, {})
-            session.act(name, told[step] if step in told else policy.command(session.observe(name)))
+            command = told.get(step) if step < self._told_until else policy.command(session.observe(name))
+            if command is not None:
+                session.act(name, command)
         result: StepResult = session.step()
+        for number, policy in self.waited_for.items():
+            policy.after([span for span in result.skills if span.agent == number])
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
         self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
@@ -450,11 +455,12 @@ class LiveGame:
 
     def _let_go(self) -> dict[str, Any]:
         """Ends the conversations with servers; returns what the recording says about them."""
-        found: list[Any] = []
+        found: dict[str, Any] = {}
         for policy in self.waited_for.values():
-            found += policy.recorded_info()["remote"]
+            for name, facts in policy.recorded_info().items():
+                found[name] = [*found.get(name, []), *facts]
             policy.close()
-        return {"remote": found} if found else {}
+        return found
 
     # --- after a crash ------------------------------------------------------------------------------------------------
     def play_again(self, recording: Recording) -> None:
@@ -464,7 +470,9 @@ class LiveGame:
             H3DataError: the states came out otherwise: another version of the simulator.
         """
         commands = recorded_commands(recording, self.session.task.control.from_json)
-        self._told = {k: {one.step: one.choice for one in commands.get(k, ())} for k in self.waited_for}
+        # the first one of a step: after a choice that takes no time the agent goes on by itself
+        self._told = {k: {one.step: one.choice for one in reversed(commands.get(k, ()))} for k in self.waited_for}
+        self._told_until = len(recording)
         events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
         at = 0
         for step in range(len(recording) + 1):
