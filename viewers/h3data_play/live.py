@@ -166,6 +166,7 @@ class EpisodeFactory:
             "ended": info["ended"],
             "steps": len(recording),
             "slipped": info["hitl"]["slipped"],
+            "remarks": info["hitl"].get("remarks", []),
             "step_ms": None,
             "path": str(path),
             "share_in": self.plan.out,

@@ -577,6 +577,7 @@ class Worker:
             "ended": recording.episode.info["ended"] if recording is not None else "closed",
             "steps": steps,
             "slipped": game.slipped,
+            "remarks": game.remarks,
             "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
             "path": "" if recording is None else str(game.path),
             "share_in": game.share_in,
