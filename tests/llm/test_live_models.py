@@ -40,9 +40,7 @@ def play_until(player: Player, what: Callable[[], Any], steps: int = 4000) -> No
         player.play()
         nap.wait(0.001)
         steps -= 1
-    assert what(), (
-        f"it never came true: {player.game.ended}, {len(player.game.session.recorder)}, {[m.faults for m in player.game.waited_for.values()]}"
-    )
+    assert what(), f"it never came true in {len(player.game.session.recorder)} steps"
 
 
 def ended(player: Player, out: Path) -> Recording:
