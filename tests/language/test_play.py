@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,13 @@ from h3data_language.play import DONE, SAID, USES, LanguageApp
 from h3data_language.talk import INTENTS
 from h3data_language.templates import HANDLING
 from h3data_pipelines.cli import main
+from h3data_play.app import Hud
 from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.messages import MOST_BYTES, MOST_CHARACTERS, decode
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.worker import ANSWER_S, Worker
 from h3data_studies.texts import SHIPPED, shipped
-from sim_kinematic.tasks.resume import resume, verify
+from sim_kinematic.tasks.resume import verify
 from tests.play.test_live import Player
 from tests.studies.test_languages import sentences
 
@@ -81,8 +83,6 @@ def test_a_person_washes_talks_and_brings_a_thing_by_name_and_it_is_measured_as_
     assert [span.outcome for span in walks[:1]] == ["done"], "talking does not end a walk"
     values = measure_many([recording]).to_dict()
     assert "PC" in json.dumps(values)
-    again = resume(recording, 60, policy="language_still", partner="language_still")
-    assert said(again) == said(recording)
 
 
 def test_a_walk_by_keys_goes_on_while_somebody_talks(tmp_path: Path) -> None:
@@ -184,6 +184,16 @@ def test_nobody_talks_faster_than_the_steps(tmp_path: Path) -> None:
 
 
 # --- the end ----------------------------------------------------------------------------------------------------------
+class MarkupApp(LanguageApp):
+    """Its instruction is somebody's markup."""
+
+    def hud(self, number: int) -> Hud:
+        return replace(super().hud(number), task=f"Put the mug on the bed. {MARKUP}", lines=(MARKUP,))
+
+    def spoken(self, text: str) -> str:
+        return f"{text} {MARKUP}"
+
+
 class Letters:
     """The front's side of a worker."""
 

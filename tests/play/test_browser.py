@@ -258,3 +258,13 @@ def test_what_is_said_has_a_place_of_its_own_at_any_size(tmp_path: Path) -> None
     for size in ("1280x720", "844x390", "390x844"):
         with Server(tmp_path / size, scenes="h3-homes/val#3", **plan) as server:
             assert play("wordsAt", f"{server.links[0]}@{size}", tmp_path)["boxes"] == []
+
+
+def test_markup_in_an_instruction_and_in_messages_is_shown_and_not_run(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    plan = {"app": "tests.language.test_play:MarkupApp", "partner": "language_still"}
+    with Server(tmp_path / "out", scenes="h3-homes/val#3", rules={"template": "wash_and_put"}, **plan) as server:
+        said = play("wordsAt", f"{server.links[0]}@1280x720", tmp_path)
+    assert said["task"].count("<img src=x onerror=alert(1)>") == 2
+    assert not said["run"]

@@ -601,7 +601,9 @@ async function wordsAt() {
   await player.drawn(3);
   await player.shot(picture(size));
   const boxes = await player.ask(OVERLAPS);
-  return { boxes, ...(await player.close()) };
+  const task = await player.ask("document.getElementById('task').innerText");
+  const run = await player.ask("!!document.querySelector('#task img, #log img, #marks img')");
+  return { boxes, task, run, ...(await player.close()) };
 }
 
 /** Pairs of parts of the page that lie on each other. */
