@@ -134,6 +134,24 @@ def test_players_hear_what_is_for_them_in_words(tmp_path: Path) -> None:
     assert game.messages(two.number, 3)[0]["text"] == "Please move aside."
 
 
+def test_two_people_share_a_task(tmp_path: Path) -> None:
+    game = table(tmp_path, partner=None, seats=("person", "person")).begin(FIRST)
+    assert [member.kind for member in game.session.episode.roster] == ["human", "human"]
+    one, two = (Player(game, number) for number in game.drivers)
+    one.send(k="use", o=0, lead=True)
+    one.until_free()
+    one.play(20)
+    one.send(k="say", text="It is clean.", to=game.session.episode.roster[two.number].name)
+    two.send(k="pick", o=0, lead=True)
+    two.until_free()
+    two.send(k="bring", place="bed_0")
+    two.until_free()
+    assert game.ended == "success", (one.said, two.said)
+    recording = finished(one, tmp_path)
+    assert said(recording) == [(one.number, "It is clean.")]
+    assert measure_many([recording]).episodes[0].values["PC"] == 1.0
+
+
 @pytest.mark.parametrize(
     "message",
     [

@@ -114,7 +114,7 @@ class EpisodeFactory:
             InputError: there is no such app, task, scene, agent or policy.
         """
         self.app = find_app(plan.app)
-        if plan.partner is None:
+        if plan.partner is None and plan.players.count("person") < 2:  # several people play among themselves
             plan = msgspec.structs.replace(plan, partner=self.app.partner)
         self.plan = plan
         self.task = find_task(self.app.task)
