@@ -63,6 +63,18 @@ def slipped_steps(recording: Recording) -> int:
     return sum(steps for steps in slips if isinstance(steps, int))
 
 
+def remark_lines(recording: Recording) -> list[str]:
+    """Lines about the problems that players have reported, and their answers to the question at the end."""
+    hitl = recording.episode.info.get("hitl")
+    lines = []
+    for remark in hitl.get("remarks", ()) if isinstance(hitl, dict) else ():
+        number = remark["agent"]
+        name = recording.agents[number].name if 0 <= number < len(recording.agents) else f"user {number}"
+        asked = f"{remark['question']} {remark['answer']}" if "question" in remark else "reports a problem"
+        lines.append(f"{name}: {asked}" + (f' ("{remark["text"]}")' if remark["text"] else ""))
+    return lines
+
+
 def _of(recording: Recording, user: int, events: Sequence[InputEvent]) -> LiveInput:
     rows = len(recording)
     # live sessions write the time of the last row that had been played; the input acted on the next one

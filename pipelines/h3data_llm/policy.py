@@ -13,6 +13,7 @@ import msgspec
 from h3data.errors import InputError
 from h3data.policies import Action, AssignedPolicy, PolicyMaker, RearrangeView
 from h3data_language.task import Language
+from h3data_llm.background import BackgroundModel, PatientEndpoint
 from h3data_llm.endpoint import Address, Endpoint, HttpEndpoint, LanguageModelError
 from h3data_llm.tools import Call, called, kept, lines_of, schemas_of, tools_for
 from h3data_llm.work import Work, Worker
@@ -243,6 +244,11 @@ class LanguageModelPolicy:
             f"allow more with &{what}= in its address.",
             code="H3-LLM-024",
         )
+
+    def in_background(self) -> BackgroundModel:
+        """Return the policy for live games, which do not wait for an answer."""
+        self._endpoint = PatientEndpoint(self._endpoint)
+        return BackgroundModel(self)
 
     def recorded_info(self) -> dict[str, Any]:
         """Returns the recorded facts about the language model, with every answer."""

@@ -89,6 +89,9 @@ class BackgroundPolicy:
             self._requests.put(self._policy.request(view))
         return self._policy.choice(self._last, view)
 
+    def after(self, spans: list[Any]) -> None:
+        """Takes note of nothing: commands of servers are no skills that end."""
+
     def recorded_info(self) -> dict[str, Any]:
         """Recorded info of the policy, with the number of late answers."""
         (found,) = self._policy.recorded_info()["remote"]

@@ -84,6 +84,13 @@ class SkillController:
         """Begin a skill; an infeasible one does nothing and takes one step, as in Habitat."""
         del world, agent, rows
         (chosen,) = action
+        if self._left > 1 and isinstance(chosen.command, Message) and isinstance(self.actor, DrivenPerson):
+            # people who are driven talk while they walk or a skill goes on, and choose again. A message of others is a
+            # skill that takes no time, as their replays follow the spans of skills
+            self._left -= 1
+            assert self.aim is not None
+            self.aim(self.number, chosen)
+            return
         if self._interrupted:
             self._interrupted = False
             if chosen == self.action:
@@ -106,6 +113,8 @@ class SkillController:
     def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> None:
         """Move the agent by its skill. If the skill ends at once, it takes no time, and the agent chooses again."""
         del world, agent, rows
+        if self._interrupted:
+            return
         if self.skill is not None:
             try:
                 next(self.skill)

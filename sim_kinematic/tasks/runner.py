@@ -16,7 +16,7 @@ import msgspec
 from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
-from sim_kinematic.agents.skills import CONTROL, Action, sentence
+from sim_kinematic.agents.skills import CONTROL, Action, Message, sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
@@ -456,6 +456,8 @@ class Session:
         """Return the command of an agent for this step: a new one, or what it does without one."""
         inbox = self._inboxes[number]
         if inbox.has_news:
-            inbox.latest, inbox.has_news = inbox.pending, False
-            return inbox.latest
+            inbox.has_news = False
+            if not isinstance(getattr(inbox.pending, "command", None), Message):
+                inbox.latest = inbox.pending  # who has said something goes on with what they did
+            return inbox.pending
         return self.task.control.idle(self.play, number, inbox.latest)

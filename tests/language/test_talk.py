@@ -22,7 +22,8 @@ from h3data_language.episode import LanguageSpec
 from h3data_language.talk import INTENTS, Intent, say
 from h3data_language.task import Language
 from h3data_pipelines.cli import main
-from h3data_viewers.html_replay.story import _events
+from h3data_viewers.html_replay.packing import Payload
+from h3data_viewers.html_replay.story import _events, add_story
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import simulate
 
@@ -174,6 +175,8 @@ def test_pages_show_messages_and_do_not_run_their_markup(tmp_path: Path) -> None
     assert MARKUP not in page
     shown = [event["text"] for event in _events(made, np.arange(len(made)))]
     assert f'Robot says: "{MARKUP}"' in shown  # the player puts it into the page as text
+    bubbles = add_story(Payload(), made, np.arange(len(made)))["says"]
+    assert [(one["step"], one["agent"], one["text"]) for one in bubbles] == [(s, a, t) for s, a, _, t in said(made)]
 
 
 def test_pages_show_an_instruction_and_do_not_run_its_markup(tmp_path: Path) -> None:

@@ -232,3 +232,39 @@ def test_stairs_are_climbed_by_keys_and_predicted(tmp_path: Path) -> None:
     assert said["body"] > said["high"] + 0.5, "the body is up there"
     assert said["errors"] > 10
     assert said["errorM"][1] < LOST_M
+
+
+def test_a_task_in_words_is_played_by_keys_and_lists_and_nobodys_markup_is_run(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    plan = {"app": "language_progress", "partner": "language_still", "rules": {"template": "wash_and_put"}}
+    with Server(tmp_path / "out", scenes="h3-homes/val#3", **plan) as server:
+        said = play("words", server.links[0], tmp_path)
+    assert said["over"]["ended"] == "success"
+    assert not said["markup"]
+    assert said["log"] == ["You <img src=x onerror='window.ran = true'> hello", "You Yes."]
+    assert said["question"] == "Did you complete the task?"
+    recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
+    assert verify(recording).difference is None
+    problem, answer = recording.episode.info["hitl"]["remarks"]
+    assert problem["text"] == "The <b>robot</b> stands in the way."
+    assert (answer["answer"], answer["text"]) == ("yes", "It was fun.")
+
+
+def test_what_is_said_has_a_place_of_its_own_at_any_size(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    plan = {"app": "language_progress", "partner": "language_talk", "rules": {"template": "wash_and_put"}}
+    for size in ("1280x720", "844x390", "390x844"):
+        with Server(tmp_path / size, scenes="h3-homes/val#3", **plan) as server:
+            assert play("wordsAt", f"{server.links[0]}@{size}", tmp_path)["boxes"] == []
+
+
+def test_markup_in_an_instruction_and_in_messages_is_shown_and_not_run(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    plan = {"app": "tests.language.test_play:MarkupApp", "partner": "language_still"}
+    with Server(tmp_path / "out", scenes="h3-homes/val#3", rules={"template": "wash_and_put"}, **plan) as server:
+        said = play("wordsAt", f"{server.links[0]}@1280x720", tmp_path)
+    assert said["task"].count("<img src=x onerror=alert(1)>") == 2
+    assert not said["run"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from h3data.errors import InputError
 from h3data.plugins import Registry
@@ -31,6 +31,8 @@ class Hud:
     page's own hints. Where it has nothing, the page says what could be done now."""
     marker: tuple[float, float, float] | None = None
     """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
+    uses: tuple[str, ...] = ()
+    """For each object what the player can do to it in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,25 @@ class Goal:
     """Goal position of the object's origin [m]."""
     label: str
     """Name of the place."""
+
+
+class Phrase(NamedTuple):
+    """A message that a player sends by one press."""
+
+    label: str
+    """Words on the page."""
+    text: str
+    """Text of the message."""
+
+
+class Spot(NamedTuple):
+    """A place that a player can choose from a list."""
+
+    name: str
+    """Name by which a message ``bring`` has it."""
+    label: str
+    room: str
+    """Words for the place, and for the room under which it is listed."""
 
 
 class App:
@@ -60,7 +81,13 @@ class App:
     """Policy of the agents that nobody plays, unless the command line names one; None: the task's default, ``solo``: there are
     none."""
 
+    question: ClassVar[str] = ""
+    """Question to players when an episode has ended, answered by yes, no or unsure; empty: none is asked, and players can
+    neither skip an episode nor report a problem."""
+
     session: Session
+    ended: str = ""
+    """Reason why the episode has ended: by its rules, by a player or by the app; empty while it is running."""
 
     def reset(self, session: Session) -> None:
         """Begins an episode."""
@@ -97,6 +124,18 @@ class App:
         """Markers in the home."""
         return []
 
+    def phrases(self) -> list[Phrase]:
+        """Messages that are sent by one press. Where there are some, the page has a box for others too."""
+        return []
+
+    def spots(self) -> list[Spot]:
+        """Places to which players can bring what they hold, by name."""
+        return []
+
+    def spoken(self, text: str) -> str:
+        """Words of a message of another agent, as players read them."""
+        return text
+
     def label(self, name: str) -> str:
         """The word for an object of the recording."""
         return name.rpartition("/")[2].replace("_", " ")
@@ -109,10 +148,12 @@ class App:
 
     def over(self, number: int) -> str:
         """Text for the player at the end."""
-        ended = self.session.ended
+        ended = self.session.ended or self.ended
         return {
             "success": "Done. Thank you!",
             "max_steps": "The time is up.",
+            "finished": "Thank you!",
+            "skipped": "The task has been skipped.",
             "closed": "The episode has been ended.",
         }.get(ended, f"The episode has ended: {ended.replace('_', ' ')}.")
 

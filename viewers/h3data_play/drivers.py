@@ -28,6 +28,8 @@ from h3data_play.messages import (
     Open,
     Pick,
     Place,
+    Remark,
+    Say,
     Sit,
     Stop,
 )
@@ -36,7 +38,7 @@ from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCom
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.skills import Action, sentence
+from sim_kinematic.agents.skills import Action, Message, sentence
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_base, agent_floor
@@ -45,6 +47,8 @@ from sim_kinematic.tasks.runner import Session, StepResult
 CANCEL = Action("wait", steps=1)
 """Choice that interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
+MOST_UNSAID = 5
+"""Number of messages of a player that wait for their step; one is said in each."""
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
@@ -86,7 +90,7 @@ class Driver:
         if isinstance(message, Stop):
             self.interrupt()
             return ""
-        if isinstance(message, Leave):
+        if isinstance(message, Leave | Remark):
             return ""
         if isinstance(message, GoTo):
             self.interrupt()
@@ -167,9 +171,18 @@ class SkillDriver(Driver):
         self.queue: list[Any] = []
         """Skills still to come."""
         self.cancelled = False
+        self.unsaid: list[Message] = []
+        """Messages to other agents that have not been said yet."""
 
     def follow(self, message: Act) -> str:
         """Carries out a message; pick, place, hand over, open and close become skills."""
+        if isinstance(message, Say):
+            said = Message(message.text, message.to)
+            said.check([member.name for member in self.session.episode.roster])
+            if len(self.unsaid) >= MOST_UNSAID:
+                return "Wait a moment before you say more."
+            self.unsaid.append(said)
+            return ""
         if isinstance(message, Pick):
             names = self.objects.names
             if message.o >= len(names):
@@ -268,6 +281,8 @@ class SkillDriver(Driver):
 
     def command(self) -> Any:
         """Command of the next step; None while a skill is running."""
+        if self.unsaid:
+            return self.speak()
         if self.cancelled:
             self.cancelled = False
             if self.queue:
@@ -279,6 +294,10 @@ class SkillDriver(Driver):
         if self.guide is None and self.queue:
             return self.queue.pop(0)
         return self.walking(*velocity)
+
+    def speak(self) -> Any:
+        """The command that says the next message."""
+        return self.unsaid.pop(0).action
 
     def walking(self, forward: float, turn: float) -> Any:
         """The command of a step between skills."""
@@ -391,6 +410,12 @@ class PersonDriver(SkillDriver):
 
 class RobotDriver(SkillDriver):
     """A robot with an arm, which its skills move."""
+
+    def speak(self) -> Any:
+        """The command that says the next message; it ends the running skill, which begins again after it."""
+        if self.runs:
+            self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
+        return super().speak()
 
     @property
     def base(self) -> BaseSpec:

@@ -31,7 +31,7 @@ from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, r
 from h3data.scene import FreeSpace
 from h3data_play.app import App, find_app
 from h3data_play.drivers import Driver
-from h3data_play.messages import Act, decode
+from h3data_play.messages import Act, Answer, End, Problem, Remark, decode
 from h3data_play.plan import VERSION, GameOrder, PlayPlan
 from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.agents.roster import HUMAN_BODY
@@ -114,7 +114,7 @@ class EpisodeFactory:
             InputError: there is no such app, task, scene, agent or policy.
         """
         self.app = find_app(plan.app)
-        if plan.partner is None:
+        if plan.partner is None and plan.players.count("person") < 2:  # several people play among themselves
             plan = msgspec.structs.replace(plan, partner=self.app.partner)
         self.plan = plan
         self.task = find_task(self.app.task)
@@ -166,6 +166,7 @@ class EpisodeFactory:
             "ended": info["ended"],
             "steps": len(recording),
             "slipped": info["hitl"]["slipped"],
+            "remarks": info["hitl"].get("remarks", []),
             "step_ms": None,
             "path": str(path),
             "share_in": self.plan.out,
@@ -238,6 +239,7 @@ class LiveGame:
                     self.waited_for[k] = in_background()
                     assigned = assigned._replace(policy=External(interrupts_when_close=False))
                 policies[episode.roster[k].name] = assigned
+        self._told_until = 0
         self._told: dict[int, dict[int, Any]] = {}
         """Their recorded commands by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
@@ -274,6 +276,10 @@ class LiveGame:
         self.columns: Columns = {}
         self.ended = ""
         """Cause of the end of the episode."""
+        self._stopped = ""
+        """Reason for which a player ends the episode with the next step."""
+        self.remarks: list[dict[str, Any]] = []
+        """Problems that players have reported, and their answers to the app's question."""
         self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
         """Things that players have to open, by agent, with the floor and the state of doors and hands for which they were
         found."""
@@ -310,8 +316,17 @@ class LiveGame:
         Raises:
             InputError: the message is no command; nothing is recorded.
         """
+        if isinstance(message, Remark) and not self.app.question:
+            raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
         why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
+        if isinstance(message, End):
+            self._stopped = message.why
+        elif isinstance(message, Problem | Answer):
+            said = {"agent": number, "step": len(self.session.recorder), "text": message.text}
+            if isinstance(message, Answer):
+                said |= {"question": self.app.question, "answer": message.answer}
+            self.remarks.append(said)
         beside = self.session.recorder.beside
         if message.seq is not None:
             beside[seq_column(number)] = np.int32(message.seq)
@@ -347,10 +362,14 @@ class LiveGame:
         step = len(session.recorder)
         for number, policy in self.waited_for.items():
             name, told = session.episode.roster[number].name, self._told.get(number, {})
-            session.act(name, told[step] if step in told else policy.command(session.observe(name)))
+            command = told.get(step) if step < self._told_until else policy.command(session.observe(name))
+            if command is not None:
+                session.act(name, command)
         result: StepResult = session.step()
+        for number, policy in self.waited_for.items():
+            policy.after([span for span in result.skills if span.agent == number])
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
-        self.ended = self.app.step(result) or result.ended
+        self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
         self.packed = self.packer.pack(self.columns)
         return {number: text for number, text in sentences.items() if text}
@@ -385,7 +404,9 @@ class LiveGame:
         known = self._barriers.get(number)
         if known is None or known[0] is not team.floor or known[1] != key:
             barrier = partial(team.barrier, team.actors[number], detour_m=np.inf)
-            found = [[barrier(k, False) if is_seen else -1, barrier(k, True)] for k, is_seen in enumerate(seen)]
+            # where players are not told the goals, nothing tells what is before them
+            told = bool(self.app.goals())
+            found = [[barrier(k, False) if s else -1, barrier(k, True) if told else -1] for k, s in enumerate(seen)]
             self._barriers[number] = known = team.floor, key, found
         return known[2]
 
@@ -399,6 +420,17 @@ class LiveGame:
             return None
         points = zip(sight.known[number], sight.where[number].round(1).tolist(), strict=True)
         return [point if known else None for known, point in points]
+
+    def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
+        """Messages of agents that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        said = getattr(self.session.play.team, "messages", ())
+        name = self.session.episode.roster[number].name if number >= 0 else None
+        return [
+            {"n": n, "agent": e.agent, "to": e.target, "text": text, "own": text == e.detail}
+            for n, e in enumerate(said[since:], since)
+            for text in [self.app.spoken(e.detail)]
+            if name is None or e.agent == number or e.target in ("", name)
+        ]
 
     @property
     def floor(self) -> FreeSpace:
@@ -419,15 +451,17 @@ class LiveGame:
             return None
         hitl = session.recorder.header.episode.info["hitl"]
         ended = {"ended": self.ended} if self.ended and not session.ended else {}
-        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **facts, **(info or {})})
+        said = {"remarks": self.remarks} if self.remarks else {}
+        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped, **said}, **facts, **(info or {})})
 
     def _let_go(self) -> dict[str, Any]:
         """Ends the conversations with servers; returns what the recording says about them."""
-        found: list[Any] = []
+        found: dict[str, Any] = {}
         for policy in self.waited_for.values():
-            found += policy.recorded_info()["remote"]
+            for name, facts in policy.recorded_info().items():
+                found[name] = [*found.get(name, []), *facts]
             policy.close()
-        return {"remote": found} if found else {}
+        return found
 
     # --- after a crash ------------------------------------------------------------------------------------------------
     def play_again(self, recording: Recording) -> None:
@@ -437,7 +471,9 @@ class LiveGame:
             H3DataError: the states came out otherwise: another version of the simulator.
         """
         commands = recorded_commands(recording, self.session.task.control.from_json)
-        self._told = {k: {one.step: one.choice for one in commands.get(k, ())} for k in self.waited_for}
+        # the first one of a step: after a choice that takes no time the agent goes on by itself
+        self._told = {k: {one.step: one.choice for one in reversed(commands.get(k, ()))} for k in self.waited_for}
+        self._told_until = len(recording)
         events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
         at = 0
         for step in range(len(recording) + 1):

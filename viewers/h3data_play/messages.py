@@ -12,6 +12,8 @@ PERIOD_S = 1 / 30
 """Time between two steps of a live world [s]."""
 MOST_BYTES = 4096
 """Length of the longest message that a socket takes."""
+MOST_CHARACTERS = 500
+"""Length of the longest text of a player, as of a message between agents (`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Share = Annotated[float, Meta(ge=-1, le=1)]
@@ -19,6 +21,8 @@ Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
 Angle = Annotated[float, Meta(ge=-10, le=10)]
 Component = Annotated[float, Meta(ge=-10, le=10)]
 Index = Annotated[int, Meta(ge=0, le=65535)]
+Name = Annotated[str, Meta(max_length=200)]
+Words = Annotated[str, Meta(max_length=MOST_CHARACTERS)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 """Point in the world [m]."""
 Rotation = tuple[Component, Component, Component, Component]
@@ -110,6 +114,46 @@ class Head(Message, frozen=True, tag="head"):
     pitch: Angle
 
 
+class Use(Message, frozen=True, tag="use"):
+    """Cleans, fills, pours out or switches object ``o``, whichever the task asks for; with ``lead``, walks there first."""
+
+    o: Index
+    lead: bool = False
+
+
+class Bring(Message, frozen=True, tag="bring"):
+    """Walks to a place by its name with the held object and puts it there, next to another object if that is named."""
+
+    place: Name
+    next_to: Name = ""
+
+
+class Say(Message, frozen=True, tag="say"):
+    """Tells one other agent something, or all."""
+
+    text: Annotated[Words, Meta(min_length=1)]
+    to: Name = ""
+
+
+class Problem(Message, frozen=True, tag="problem"):
+    """Reports a problem with the episode, which goes on."""
+
+    text: Annotated[Words, Meta(min_length=1)]
+
+
+class End(Message, frozen=True, tag="end"):
+    """Ends the episode: the player takes the task to be finished, or skips it."""
+
+    why: Literal["finished", "skipped"]
+
+
+class Answer(Message, frozen=True, tag="answer"):
+    """Answers the question at the end of an episode."""
+
+    answer: Literal["yes", "no", "unsure"]
+    text: Words = ""
+
+
 class Leave(Message, frozen=True, tag="leave"):
     """Ends the session."""
 
@@ -126,7 +170,27 @@ class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
     p: Point
 
 
-Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Open | Close | Sit | Hand | Head | Leave
+Remark = Problem | End | Answer
+"""Messages about the episode, in apps that ask a question at its end (`h3data_play.app.App.question`)."""
+Act = (
+    Move
+    | GoTo
+    | Stop
+    | Pick
+    | Place
+    | Drop
+    | Give
+    | Open
+    | Close
+    | Sit
+    | Use
+    | Bring
+    | Say
+    | Hand
+    | Head
+    | Leave
+    | Remark
+)
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 MOST_DEEP = 32

@@ -33,6 +33,8 @@ from h3data_play.live import EpisodeFactory, LiveGame, disk_fault
 from h3data_play.messages import (
     PERIOD_S,
     Act,
+    Answer,
+    Bring,
     Close,
     Drop,
     GoTo,
@@ -44,6 +46,7 @@ from h3data_play.messages import (
     Pick,
     Place,
     Sit,
+    Use,
     decode,
 )
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
@@ -69,6 +72,8 @@ MEASURED_STEPS = 60
 DISK_S = 1.0
 """Seconds between attempts to write data that a full disk did not take."""
 DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
+ANSWER_S = 120.0
+"""Time for which players may think about the question at the end of an episode [s]."""
 HUD_S = 10.0
 """Time between two messages about the remaining time [s]."""
 
@@ -107,6 +112,10 @@ class Running:
     """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
+    heard: dict[int, int] = field(default_factory=dict)
+    """Number of messages of agents of which each player has been told."""
+    asked: dict[int, float] = field(default_factory=dict)
+    """Players who have not answered the question at the end yet, and when they were asked."""
 
     @property
     def clock_ms(self) -> float:
@@ -116,7 +125,8 @@ class Running:
     @property
     def runs(self) -> bool:
         """Return whether all players are there and the disk takes what they do."""
-        return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
+        ended = self.over or bool(self.game.ended)
+        return not ended and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
     @property
     def is_left(self) -> bool:
@@ -203,6 +213,7 @@ class Worker:
             elif not letters and not any(running.runs for running in self.games.values()):
                 next(self._homes_ahead, None)
             self.try_disk()
+            self.end_unanswered()
             self.report()
 
     def try_disk(self) -> None:
@@ -336,6 +347,8 @@ class Worker:
         running = self.games[key] = Running(key, game)
         self.channel.send("begun", key, {"steps": len(game.session.recorder)})
         self._note_disk(running)
+        if game.ended:  # the process before was killed between the last step and the end
+            self._end(running)
 
     def _note_disk(self, running: Running) -> None:
         """The disk does not take what has been played: the game stands still."""
@@ -372,6 +385,7 @@ class Worker:
         running.huds.pop(number, None)
         running.barriers.pop(number, None)
         running.seen.pop(number, None)
+        running.heard.pop(number, None)
         if number in running.floors:
             running.floors[number] = None  # the page may have been loaded again
         if running.runs and not ran:
@@ -379,6 +393,8 @@ class Worker:
         if not running.runs and running.game.packed is not None:
             self._send_states(running)
         self._tell_pause(running)
+        if here and number in running.asked:
+            self.channel.send("told", key, [number, {"question": running.game.app.question}])
 
     def input(self, key: str, body: list[Any]) -> None:
         """A message of a player, which waits for its step."""
@@ -391,6 +407,13 @@ class Worker:
         if isinstance(message, Leave):
             self._take(running, number, message, text, arrived)
             self.finish(running)
+            return
+        if running.asked:
+            if number in running.asked and isinstance(message, Answer):
+                self._take(running, number, message, text, arrived)
+                del running.asked[number]
+                if not running.asked:
+                    self.finish(running)
             return
         now = len(running.game.session.recorder)
         if running.is_stuck:  # nothing is done later that was asked for now; but which keys are down has to be known
@@ -450,14 +473,14 @@ class Worker:
             game.slip(steps)
             running.due += steps * self.period
         if game.ended:
-            self.finish(running)
+            self._end(running)
         else:
             self._note_disk(running)
         running.stepped = time.monotonic()
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
-        if isinstance(message, Pick | Place | Open | Close) and message.lead:
+        if isinstance(message, Bring) or (isinstance(message, Pick | Place | Use | Open | Close) and message.lead):
             now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
             if now - before < PLAN_STEPS:
                 return
@@ -485,12 +508,25 @@ class Worker:
             if running.seen.get(number) != seen:
                 running.seen[number] = seen
                 self.channel.send("told", running.key, [number, {"seen": seen}])
+            heard, running.heard[number] = (
+                running.heard.get(number, 0),
+                len(getattr(game.session.play.team, "messages", ())),
+            )
+            if heard < running.heard[number]:
+                self.channel.send("told", running.key, [number, {"said": game.messages(number, heard)}])
             if running.floors.get(number, game.session.episode.free) is not game.floor:
                 running.floors[number] = game.floor
                 self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])
             hud = game.app.hud(number)
             # pages count the seconds down themselves
-            words = (hud.task, hud.lines, hud.how, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)
+            words = (
+                hud.task,
+                hud.lines,
+                hud.how,
+                hud.marker,
+                hud.uses,
+                None if hud.left_s is None else hud.left_s // HUD_S,
+            )
             if running.huds.get(number) != words:
                 running.huds[number] = words
                 self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])
@@ -508,6 +544,23 @@ class Worker:
         for number in sorted(running.here):
             self.channel.send("told", running.key, [number, {"pause": text}])
 
+    def _end(self, running: Running) -> None:
+        """The episode is over: asks those who are there the app's question, before the recording is closed."""
+        game = running.game
+        if game.app.question and game.ended != "skipped" and running.here & set(game.drivers):
+            running.asked = dict.fromkeys(running.here & set(game.drivers), time.monotonic())
+            for number in running.asked:
+                self.channel.send("told", running.key, [number, {"question": game.app.question}])
+        else:
+            self.finish(running)
+
+    def end_unanswered(self) -> None:
+        """Ends the games whose players have not answered the question at the end in time."""
+        for running in list(self.games.values()):
+            if running.asked and time.monotonic() - max(running.asked.values()) > ANSWER_S:
+                running.asked = {}
+                self.guarded(running.key, lambda worker, _key, _body, running=running: worker.finish(running), None)
+
     def finish(self, running: Running) -> None:
         """Closes the recording and tells the players, as soon as the disk has it."""
         running.over = True
@@ -524,6 +577,7 @@ class Worker:
             "ended": recording.episode.info["ended"] if recording is not None else "closed",
             "steps": steps,
             "slipped": game.slipped,
+            "remarks": game.remarks,
             "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
             "path": "" if recording is None else str(game.path),
             "share_in": game.share_in,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import H3DataError, InputError, did_you_mean
 from h3data.scene.open import named_scenes
 from h3data_play.live import EpisodeFactory
 from h3data_play.plan import PlayPlan
@@ -362,7 +362,10 @@ def key_file(folder: Path) -> Path:
 def _check_playable(name: str, plan: PlayPlan) -> None:
     try:
         EpisodeFactory(plan)
-    except (InputError, TypeError) as fault:  # TypeError: rules that the task does not have
+    except (
+        H3DataError,
+        TypeError,
+    ) as fault:  # a language model that is not there; TypeError: rules that the task does not have
         where = f"condition {name}" if name else "tutorial"
         raise InputError(
             f"The {where} cannot be played: {str(fault).replace('replace() got', 'rules have')}", code="H3-STUDY-042"

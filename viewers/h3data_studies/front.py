@@ -519,6 +519,8 @@ class StudyServer(WebServer):
         game, participant = live.game, self.journal.participants.get(live.game.place)
         if not game.over and participant is not None:
             result = {name: over.get(name) for name in ("ended", "steps", "slipped", "step_ms")}
+            if over.get("remarks"):
+                result["remarks"] = over["remarks"]
             self._save(participant, participant.progress.over(row_of(game.key), result))
             self.journal.saw(participant)
         super()._over(live, over)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date, datetime
 from typing import Any
@@ -28,6 +29,8 @@ class PlayedEpisode:
     ended: str
     steps: int
     slipped: int
+    remarks: tuple[Mapping[str, Any], ...] = ()
+    """Reported problems, and the answer to the question at the end, as the recording has them."""
 
     @property
     def late(self) -> float:
@@ -50,7 +53,17 @@ def played(participant: Participant) -> list[PlayedEpisode]:
             condition = participant.progress.place.blocks[block - 1].condition
             steps, slipped = int(result.get("steps") or 0), int(result.get("slipped") or 0)
             episodes.append(
-                PlayedEpisode(participant.id, condition, block, trial, row, str(result["ended"]), steps, slipped)
+                PlayedEpisode(
+                    participant.id,
+                    condition,
+                    block,
+                    trial,
+                    row,
+                    str(result["ended"]),
+                    steps,
+                    slipped,
+                    tuple(result.get("remarks") or ()),
+                )
             )
     return episodes
 

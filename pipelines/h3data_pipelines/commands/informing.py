@@ -160,7 +160,7 @@ def _walks(recording: Recording) -> list[str]:
 
 def _players(recording: Recording) -> list[str]:
     """Lines about people who played live: messages, round trips, steps that were not played in time."""
-    from h3data.recording.live_input import live_inputs, slipped_steps
+    from h3data.recording.live_input import live_inputs, remark_lines, slipped_steps
 
     lines = []
     for player in live_inputs(recording):
@@ -172,7 +172,7 @@ def _players(recording: Recording) -> list[str]:
         )
     if lines:
         lines[-1] += f"; {counted(slipped_steps(recording), 'step')} slipped"
-    return lines
+    return lines + [f"  {'remark':<8} {line}" for line in remark_lines(recording)]
 
 
 def _by_bot(recording: Recording) -> str:

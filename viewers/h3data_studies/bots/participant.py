@@ -36,6 +36,8 @@ runs."""
 HESITATES = 0.3
 """Share of decisions before which a bot steers a little by keys."""
 FACES_RAD = 0.1
+TRIES = 4
+"""Number of places that are tried for a thing."""
 LATE_S, RETRY_S = 600.0, 1.0
 """Time without a message after which the participant gives up, and time after which a refused request is repeated [s]."""
 
@@ -154,6 +156,10 @@ class ScriptedParticipant(Client):
                 await self.until(lambda: self.step, LATE_S)
                 self.seq = self.ack + 1
                 await self._play()
+                if self.manifest["asks"]:
+                    await self.until(lambda: self.heard("question") or self.heard("over"), LATE_S)
+                    if not self.heard("over"):
+                        await self.send(k="answer", answer=self.chance.choice(("yes", "no", "unsure")), text=SAID)
                 over = (await self.until(lambda: self.heard("over"), LATE_S))[0]
             except (ConnectionError, aiohttp.ClientError):
                 if self.heard("over"):
@@ -164,7 +170,8 @@ class ScriptedParticipant(Client):
             return
 
     async def _play(self) -> None:
-        """Decides until the episode is over."""
+        """Decides until the episode is over, and answers the question that follows."""
+        self.tried: set[int] = set()
         while not self.over:
             await self._pause(self.chance.randint(*REACTION_STEPS))
             if self.over:
@@ -172,6 +179,8 @@ class ScriptedParticipant(Client):
             marker = (self.heard("hud") or [{}])[-1].get("marker")
             if marker:
                 await self._do(k="goto", p=marker)
+            elif self.manifest["spots"]:
+                await self._words()
             elif not self.manifest["goals"]:
                 await self._stroll()
             elif 0 <= self.mine < len(self.manifest["goals"]):
@@ -200,6 +209,50 @@ class ScriptedParticipant(Client):
         await self._do(k="pick", o=nearest, lead=True)
         if len(self.heard("why")) > refusals:
             await self._face(self.things[nearest].position)  # the tutorial asks for it
+
+    async def _words(self) -> None:
+        """Does the next thing of an instruction in words, as far as names in it tell; ends the task when nothing is left.
+
+        It knows no grammar, and completes the simple ones of the tasks.
+        """
+        hud = self.heard("hud")[-1]
+        task, things = str(hud["task"]), self.manifest["objects"]
+        named = sorted((task.find(one["label"]), k) for k, one in enumerate(things) if one["label"] in task)
+        open_ = [k for _, k in named if k not in self.tried]
+        left = [k for k in open_ if self.things[k].held in (-1, self.me)]
+        useful = [k for _, k in named if k < len(hud["uses"]) and hud["uses"][k] and k in left]
+        if self.mine >= 0 and self.mine not in self.tried:
+            await self._bring(task)
+        elif useful:
+            if self.chance.random() < HESITATES:
+                await self.send(k="say", text=self.chance.choice(self.manifest["phrases"])["text"])
+            await self._do(k="use", o=useful[0], lead=True)
+            await self._pause(25)
+            if self.heard("hud")[-1]["uses"] == hud["uses"]:
+                self.tried.add(useful[0])
+        elif left:
+            await self._do(k="pick", o=left[0], lead=True)
+            if self.mine != left[0]:
+                self.tried.add(left[0])
+        elif open_:  # somebody else has the rest in their hands
+            await self._pause(30)
+        else:
+            await self._do(k="end", why="finished")
+            await self.until(lambda: self.over, LATE_S)
+
+    async def _bring(self, task: str) -> None:
+        """Brings what the bot holds to a place of which the name is in the instruction, or lets go of it."""
+        held = self.mine
+        spots = [spot for spot in self.manifest["spots"] if _noun(spot["label"]) in task]
+        # things come from where an instruction names first, and go to where it names last
+        spots.sort(key=lambda spot: (task.rfind(_noun(spot["label"])), task.rfind(spot["room"])), reverse=True)
+        self.tried.add(held)
+        for spot in spots[:TRIES]:
+            await self._do(k="bring", place=spot["name"])
+            if self.mine != held or self.over:
+                return
+        if not self.over:
+            await self._do(k="drop")
 
     async def _stroll(self) -> None:
         await self._steer(30)
@@ -258,3 +311,8 @@ class ScriptedParticipant(Client):
     def _is_done(self, k: int) -> bool:
         thing, goal = self.things[k], self.manifest["goals"][k]["position"]
         return thing.held < 0 and math.dist(thing.position, goal) < DONE_M
+
+
+def _noun(label: str) -> str:
+    """Name of the furniture in the label of a place."""
+    return label.removeprefix("on the ").removeprefix("inside the ").partition(" (")[0]

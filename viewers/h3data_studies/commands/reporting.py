@@ -293,7 +293,8 @@ def trial_rows(
     """A row for each episode that was played, used or not, with a header.
 
     ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
-    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. The metrics of ``measured``, empty
+    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. ``completed`` is the answer to the
+    question at the end of an episode, ``problems`` the number of reported ones. The metrics of ``measured``, empty
     where they are undefined, and the answers to questions after each episode (``form.item``, no free text) come last.
     """
     from h3data_studies.answers import filled_stages
@@ -313,7 +314,20 @@ def trial_rows(
     questions = list(dict.fromkeys(name for *_, name in answered))
     head = ["participant", "bot", "order", "block", "trial", "condition", "partner", "scene", "episode", "ended_at"]
     rows: list[list[str | float]] = [
-        [*head, "seconds", "ended", "steps", "late_steps", "away_s", "left_out", "recording", *metrics, *questions]
+        [
+            *head,
+            "seconds",
+            "ended",
+            "steps",
+            "late_steps",
+            "away_s",
+            "completed",
+            "problems",
+            "left_out",
+            "recording",
+            *metrics,
+            *questions,
+        ]
     ]
     for person in people:
         for number, e in enumerate(played(person), 1):
@@ -338,6 +352,8 @@ def trial_rows(
                     e.steps,
                     e.slipped,
                     trial_measures(person, e)["away_s"],
+                    next((str(remark["answer"]) for remark in e.remarks if "answer" in remark), ""),
+                    sum("answer" not in remark for remark in e.remarks),
                     why,
                     str(path.relative_to(folder)) if path.is_file() else "",
                     *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics),

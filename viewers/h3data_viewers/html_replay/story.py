@@ -54,7 +54,17 @@ def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer])
             for agent, changed, points in walking_goals(recording)
         ],
         "scans": _scans(payload, recording, rows),
+        "says": [
+            {"agent": e.agent, "step": _row(rows, e.step), "text": e.detail}
+            for e in recording.events
+            if e.kind == SAY and 0 <= e.agent < len(recording.agents)
+        ][:4000],
     }
+
+
+def _row(rows: NDArray[np.integer], step: int) -> int:
+    """Index of the row that shows a step."""
+    return int(np.clip(np.searchsorted(rows, step), 0, max(len(rows) - 1, 0)))
 
 
 # --- charts -----------------------------------------------------------------------------------------------------------
@@ -154,7 +164,7 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
     events += [(row, "bad", "Robot and person touch") for row in touches]
     events.sort(key=lambda event: event[0])
     return [
-        {"step": int(np.clip(np.searchsorted(rows, step), 0, max(len(rows) - 1, 0))), "kind": kind, "text": text}
+        {"step": _row(rows, step), "kind": kind, "text": text}
         for step, kind, text in events[:4000]  # more would make the page's list slow
     ]
 

@@ -19,6 +19,7 @@ from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
 from h3data.recording import Recording
+from h3data.recording.live_input import remark_lines
 from h3data.recording.log_lines import SAY, speech
 from h3data.render.image_files import jpeg_data_uri
 from h3data.render.light.sources import LightMode
@@ -274,7 +275,7 @@ class HighlightCard:
     """Reason why there are no key frames; empty if there are."""
     instruction: str
     messages: list[str]
-    """The first messages between agents, each with its time."""
+    """The first messages between agents, each with its time, and what players said about the episode."""
     replay: str
     """Address of the HTML replay; empty if there is none."""
     path: str
@@ -301,7 +302,7 @@ def highlight_card(
     try:
         recording = read_whole(episode)
         instruction = str(recording.episode.info.get("instruction") or "")
-        messages = _messages(recording)
+        messages = [*_messages(recording), *remark_lines(recording)]
         replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:

@@ -4,6 +4,8 @@ import { Vector3, WebGLRenderer } from "three";
 import { deed, hints, holderText, situation, thumbText, type Barriers, type Seen, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
+import { Deeds } from "./screen/deeds.ts";
+import { Talk } from "./screen/talk.ts";
 import { Headset } from "./headset/xr.ts";
 import { discsOf, type Base, type Driving } from "./motion/drive.ts";
 import type { Hud, TodoItem } from "./screen/hud.ts";
@@ -33,6 +35,8 @@ const ROBOT_EYE_M = 1.05;
 const SLOW_MS = 40;
 const SLOW_FRAMES = 20;
 const LEAST_RATIO = 0.5;
+/** From here something can be cleaned, filled, poured out or switched, m. */
+const USE_M = 1.5;
 
 export class Game {
   readonly camera: CameraRig;
@@ -52,6 +56,8 @@ export class Game {
   seen: Seen | null = null;
   frames = 0;
   headset: Headset | null = null;
+  readonly talk: Talk;
+  readonly deeds: Deeds;
   private readonly cues: Cues;
   private readonly pointing: Pointing;
   private readonly steering: Steering | null = null;
@@ -81,6 +87,8 @@ export class Game {
     if (!options.renderer) this.renderer.setPixelRatio(options.pixelRatio);
     this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
     this.pointing = new Pointing(world);
+    this.talk = new Talk(manifest, (text) => this.net.send({ k: "say", text }), signal);
+    this.deeds = new Deeds(manifest, (message) => this.net.send(message), hud, signal);
     const agent = manifest.agents[manifest.me];
     if (agent) {
       this.predictor = new Predictor(sdf, agent.drive, manifest.dt);
@@ -97,9 +105,11 @@ export class Game {
     hud.on("button-leave", () => hud.askToLeave(() => this.net.send({ k: "leave" })), signal);
     hud.show("button-leave", agent !== undefined);
     for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish), signal);
+    hud.on("button-talk", () => this.talk.toggle(), signal);
     if (agent) void this.offerHeadset(agent.drive);
     const robot = manifest.agents.some((other, k) => other.kind === "robot" && k !== manifest.me);
-    hud.offers(!!agent && manifest.objects.length > 0, !!agent && manifest.joints.length > 0, robot);
+    const things = !!agent && manifest.objects.length > 0;
+    hud.offers(things, !!agent && manifest.joints.length > 0, robot, things && manifest.spots.length > 0, manifest.phrases.length > 0);
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize(), { signal });
     this.resize();
@@ -165,12 +175,16 @@ export class Game {
     if (wish === "view") this.setView(NEXT_VIEW[this.camera.view]);
     else if (wish === "help") this.hud.toggleHelp();
     else if (wish === "map") this.hud.toggleMap();
+    else if (wish === "talk" && this.manifest.phrases.length) this.talk.toggle(true);
+    else if (wish === "finish") this.deeds.askToFinish();
     else if (wish === "sound") this.hud.pressed("button-sound", this.sound.toggle());
     else if (this.now && !this.ended) this.doSomething(wish, this.now);
   }
 
   private doSomething(wish: Wish, now: Situation): void {
     if (wish === "cancel") this.stopWalkingTo(true);
+    else if (wish === "do") this.deeds.open(now.held >= 0 ? now.held : now.next);
+    else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
     else if (wish === "sit") this.net.send({ k: "sit" });
     else if (wish === "turn") {
@@ -196,10 +210,21 @@ export class Game {
       if (aim && aim.fits === false) this.refused(aim.why);
       else if (aim) this.net.send({ k: "place", p: numbers(aim.point) });
       else if (goal) this.net.send({ k: "place", p: goal.position, lead });
+      else this.deeds.open(now.held);
     } else if (next.kind === "turn") this.turn(next.joint);
     else if (next.kind === "take") this.net.send({ k: "pick", o: next.thing, lead });
     else if (now.known.some((at, k) => !at && !now.done[k])) this.hud.toast(say("look_for_it"));
     else this.hud.toast(say(this.manifest.goals.length ? "all_there" : "nothing_to_take"));
+  }
+
+  /** Cleans, fills, pours out or switches what is held or near. */
+  private use(now: Situation): void {
+    const thing = this.useful(now);
+    if (thing >= 0) this.net.send({ k: "use", o: thing, lead: true });
+  }
+
+  private useful(now: Situation): number {
+    return this.deeds.useful(this.net.latest!, now.held, this.shown, USE_M);
   }
 
   /** Opens or closes a door or drawer, and walks there first. */
@@ -278,7 +303,7 @@ export class Game {
     this.world.showHead(this.manifest.me, !this.headset?.on && this.camera.view !== "first");
     this.now = situation(this.manifest, state, this.manifest.me, this.shown, this.barriers, this.world.joints.handles, this.seen);
     this.preview(this.now);
-    this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
+    this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw, this.talk.bubbles);
     this.tell(state, this.now);
     this.coarsen(); // before the picture: a canvas of another size is empty
     this.renderer.render(this.world.scene, this.camera.camera);
@@ -345,7 +370,11 @@ export class Game {
     const plays = this.steering && !this.ended;
     const { device } = this.input;
     const busy: [string, string][] = device === "keys" || device === "mouse" ? [[say("steer_key"), say("steer_again")]] : [];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, state, device, this.aim?.fits ?? null), device);
+    const useful = this.useful(now);
+    const use: [string, string][] =
+      useful < 0 ? [] : [["R", say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
+    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...(device === "touch" ? [] : use)];
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : can, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
@@ -401,7 +430,7 @@ export class Game {
 
 const BUTTONS: [string, Wish][] = [
   ["button-view", "view"], ["button-map", "map"], ["button-sound", "sound"], ["button-help", "help"],
-  ["thumb-act", "act"], ["thumb-goto", "goto"],
+  ["thumb-act", "act"], ["thumb-goto", "goto"], ["button-do", "do"], ["button-finish", "finish"],
 ];
 const NEXT_VIEW: Record<View, View> = { third: "first", first: "third", above: "above" };
 

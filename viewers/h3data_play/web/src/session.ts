@@ -9,6 +9,7 @@ import { unpacked } from "./link/packed.ts";
 import type { SdfShape } from "./motion/sdf.ts";
 import { installProbe, noteOver } from "./probe.ts";
 import { World } from "./scene/world.ts";
+import type { Said } from "./screen/talk.ts";
 import { heard, say } from "./words.ts";
 
 const query = new URLSearchParams(location.search);
@@ -83,7 +84,7 @@ async function goOn(game: Game, hud: Hud, around: Around): Promise<void> {
 interface Message {
   why?: string;
   toast?: string;
-  hud?: { task: string; left_s?: number | null; lines?: string[]; how?: Record<string, string>; marker?: [number, number, number] | null };
+  hud?: { task: string; left_s?: number | null; lines?: string[]; how?: Record<string, string>; marker?: [number, number, number] | null; uses?: string[] };
   /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal: what shuts it in,
    * or a door between rooms; -1: none. */
   barriers?: Barriers;
@@ -91,6 +92,10 @@ interface Message {
   /** The distance grid of the floor as it is now, its cells as Base64 of zlib data. */
   floor?: SdfShape & { cells: string };
   can?: { p: number[]; why: string };
+  /** Messages between agents. */
+  said?: Said[];
+  /** Question at the end of the episode. */
+  question?: string;
   pause?: string;
   over?: { ended: string; text?: string; next?: boolean };
 }
@@ -102,6 +107,7 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
     const how = Object.entries(message.hud.how ?? {}).map(([device, text]) => [device, heard(text)]);
     hud.task(heard(message.hud.task), (message.hud.lines ?? []).map(heard), message.hud.left_s ?? null, Object.fromEntries(how));
     game.mark(message.hud.marker ?? null);
+    game.deeds.uses = message.hud.uses ?? [];
   }
   if (message.barriers) game.barriers = message.barriers;
   if (message.seen) game.seen = message.seen;
@@ -109,6 +115,8 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
     const { cells, ...map } = message.floor;
     void unpacked(cells).then((bytes) => game.sdf.replace(map, bytes.buffer));
   }
+  if (message.said) game.talk.hear(message.said);
+  if (message.question) game.deeds.ask(message.question);
   if (message.can) game.answer(message.can.p, heard(message.can.why));
   if (message.pause) hud.phase("paused", say("stands_still"), heard(message.pause));
   else if (message.pause === "") hud.phase("playing");

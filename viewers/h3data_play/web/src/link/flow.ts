@@ -30,7 +30,9 @@ export async function takeSeat(asked: object, progress: (text: string) => void):
   progress(say("setting_up"));
   const answer = await seat(asked, progress);
   const manifest = answer.manifest as Manifest;
-  for (const named of [...manifest.objects, ...manifest.goals, ...manifest.joints]) named.label = heard(named.label);
+  for (const phrase of manifest.phrases) if (phrase.text === phrase.label) phrase.text = heard(phrase.label);
+  for (const named of [...manifest.objects, ...manifest.goals, ...manifest.joints, ...manifest.phrases, ...manifest.spots]) named.label = heard(named.label);
+  for (const spot of manifest.spots) spot.room = heard(spot.room);
   progress(say("on_its_way"));
   const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
   const url = new URL(answer.socket as string, location.href);

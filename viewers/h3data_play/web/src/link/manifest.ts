@@ -61,6 +61,12 @@ export interface Manifest extends Stage {
   me: number;
   /** One for each object that has to be brought somewhere, by the index of the object. */
   goals: GoalInfo[];
+  /** Messages that are sent by one press; where there are some, the player can talk. */
+  phrases: { label: string; text: string }[];
+  /** Places to choose from a list, under their rooms. */
+  spots: { name: string; label: string; room: string }[];
+  /** Whether a question follows the end, and an episode can be skipped. */
+  asks: boolean;
   /** Seconds per step. */
   dt: number;
   sdf: SdfShape & { url: string };

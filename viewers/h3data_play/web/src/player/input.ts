@@ -2,7 +2,7 @@
 
 import { clamp } from "../motion/sdf.ts";
 
-export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "view" | "help" | "map" | "sound" | "cancel";
+export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "view" | "help" | "map" | "sound" | "cancel" | "use" | "do" | "talk" | "finish";
 
 export interface Listener {
   wish(wish: Wish): void;
@@ -19,7 +19,7 @@ const WALK: Record<string, "ahead" | "back" | "left" | "right" | "slow"> = {
 };
 const WISHES: Record<string, Wish> = {
   KeyE: "act", Space: "act", KeyF: "goto", KeyO: "turn", KeyQ: "drop", KeyG: "give", KeyC: "sit", KeyV: "view", KeyH: "help", KeyM: "map",
-  KeyN: "sound", Escape: "cancel",
+  KeyN: "sound", Escape: "cancel", KeyR: "use", KeyB: "do", KeyT: "talk",
 };
 const PAD_WISHES: Wish[] = ["act", "drop", "goto", "view", "turn"];
 
@@ -133,7 +133,8 @@ export class Input {
     }
     else if (wish && !event.repeat) this.listener.wish(wish);
     else return;
-    if (event.code.startsWith("Arrow") || event.code === "Space") event.preventDefault(); // the page would scroll
+    // the page would scroll, or the box that has the focus now would get the letter
+    if (event.code.startsWith("Arrow") || event.code === "Space" || wish === "talk") event.preventDefault();
   }
 
   private pointerDown(event: PointerEvent): void {

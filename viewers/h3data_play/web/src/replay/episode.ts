@@ -51,6 +51,13 @@ export interface Walk {
   points: [number, number, number][];
 }
 
+/** A message of an agent, which is shown over their head. */
+export interface Speech {
+  agent: number;
+  step: number;
+  text: string;
+}
+
 export interface Scan {
   agent: number;
   /** Name of the distances [T, R], m: the first straight ahead, the others to the left. */
@@ -77,6 +84,7 @@ export interface About {
   goals: Goal[];
   walks: Walk[];
   scans: Scan[];
+  says: Speech[];
 }
 
 export class Episode {

@@ -18,6 +18,9 @@ const PATH_M = 0.07;
 const APART_M = 0.06;
 /** A contact is named for this long, s. */
 const NAMED_S = 1.2;
+/** What somebody says is shown for this long, and longer for long texts, s. */
+const SPOKEN_S = 4;
+const LETTER_S = 0.06;
 const MOST_RINGS = 80;
 const AT_GOAL_M = 0.3;
 
@@ -91,7 +94,21 @@ export class Marks {
       ring.show(x, y + 0.025, z);
       if (seconds - this.episode.times[contact.step]! < NAMED_S) add(new Vector3(x, y + 1.1, z), contact.text, "!", BAD);
     });
+    if (this.shown.names) marks.unshift(...this.speech(row, seconds, camera));
     this.labels.show(marks, camera, width, height, []);
+  }
+
+  /** Bubbles over the heads of those who have just said something. */
+  private speech(row: number, seconds: number, camera: PerspectiveCamera): Mark[] {
+    const { about, times } = this.episode;
+    const latest = new Map(about.says.filter((said) => said.step <= row).map((said) => [said.agent, said]));
+    return [...latest.values()].flatMap((said): Mark[] => {
+      const { x, y, z } = this.episode.base(said.agent, row);
+      const over = seconds - times[said.step]! > Math.max(SPOKEN_S, said.text.length * LETTER_S);
+      const point = new Vector3(x, y + about.stage.agents[said.agent]!.height + 0.3, z);
+      if (over || !Number.isFinite(x) || point.clone().project(camera).z > 1) return [];
+      return [{ point, text: said.text, thing: 0, near: true, far: null, chip: "“", tone: "#fff", speech: true }];
+    });
   }
 
   private drawGoals(add: (point: Vector3, text: string, chip: string, tone: string) => void): void {

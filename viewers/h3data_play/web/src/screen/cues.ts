@@ -17,6 +17,11 @@ const OVER_M = 0.22;
 /** Of the frames, one in so many draws the map. */
 const MAP_FRAMES = 4;
 
+/** What agents have just said, and until when it is shown. */
+type Bubbles = ReadonlyMap<number, { text: string; until: number }>;
+/** Bubbles stand this high over the floor, m. */
+const HEAD_M = { human: 1.95, robot: 1.5 };
+
 export class Cues {
   private readonly labels: Labels;
   private readonly ghost: Ghost;
@@ -26,7 +31,7 @@ export class Cues {
   private marker: Vector3 | null = null;
   private readonly map: MiniMap;
   private readonly heights: number[];
-  private readonly parts = [...document.querySelectorAll("#task, #bar, #map, #hint, #toast, #stick, #thumbs")];
+  private readonly parts = [...document.querySelectorAll("#task, #bar, #map, #hint, #toast, #stick, #thumbs, #talk")];
   private frame = 0;
 
   constructor(
@@ -75,7 +80,7 @@ export class Cues {
     else this.ghost.hide();
   }
 
-  draw(state: State, now: Situation, me: number, own: Base, camera: PerspectiveCamera, yaw: number): void {
+  draw(state: State, now: Situation, me: number, own: Base, camera: PerspectiveCamera, yaw: number, bubbles: Bubbles): void {
     this.manifest.goals.forEach((goal, k) => {
       const [x, y, z] = goal.position;
       const ring = this.goals[k]!;
@@ -83,9 +88,21 @@ export class Cues {
       if (now.done[k]) ring.hide();
       else ring.show(x, y + this.heights[k]! + 0.004, z, now.held === k ? 1 + 0.12 * Math.sin(performance.now() / 180) : 1);
     });
-    this.labels.show(this.marks(state, now, me < 0 ? null : own), camera, innerWidth, innerHeight, this.taken());
+    const marks = [...this.speech(state, me, own, bubbles), ...this.marks(state, now, me < 0 ? null : own)];
+    this.labels.show(marks, camera, innerWidth, innerHeight, this.taken());
     if (this.frame++ % MAP_FRAMES) return;
     this.drawMap(state, now, me, own, yaw);
+  }
+
+  /** Bubbles over the heads of those who have just said something. */
+  private speech(state: State, me: number, own: Base, bubbles: Bubbles): Mark[] {
+    return [...bubbles].flatMap(([agent, { text, until }]): Mark[] => {
+      if (until < performance.now()) return [];
+      const at = agent === me ? own : state.agents[agent]!;
+      const high = HEAD_M[this.manifest.agents[agent]!.kind];
+      const point = new Vector3(at.x, this.world.floor.height(at.x, at.z) + high, at.z);
+      return [{ point, text, thing: MARKER, near: true, far: null, chip: "“", speech: true }];
+    });
   }
 
   private marks(state: State, now: Situation, own: Base | null): Mark[] {
@@ -105,8 +122,15 @@ export class Cues {
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];
       const at = now.known[k];
-      if (!goal || now.done[k] || !at) return;
+      if (now.done[k] || !at) return;
       const label = this.manifest.objects[k]!.label;
+      if (!goal) {
+        // where nobody is told where things go, the labels only name them
+        const far = own && Math.hypot(at.x - own.x, at.z - own.z);
+        const near = now.next === k && now.far < NEAR_M;
+        if (thing.held < 0) marks.push({ point: new Vector3(at.x, at.y + OVER_M, at.z), text: label, thing: k, near, far });
+        return;
+      }
       const [x, y, z] = goal.position;
       if (thing.held >= 0)
         marks.push({

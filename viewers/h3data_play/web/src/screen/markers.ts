@@ -27,6 +27,8 @@ export interface Mark {
   /** In place of the thing's letter and colour. */
   chip?: string;
   tone?: string;
+  /** Whether it is what somebody says: in several lines. */
+  speech?: boolean;
 }
 
 /** Labels stay this far inside the picture, px. */
@@ -100,6 +102,7 @@ export class Labels {
     const outside = x < 0 || x > width || shownY !== y;
     label.classList.toggle("outside", outside);
     label.classList.toggle("near", mark.near);
+    label.classList.toggle("speech", !!mark.speech);
     label.style.setProperty("--tone", mark.tone ?? thingColor(mark.thing));
     if (outside) arrow!.style.transform = `rotate(${Math.atan2(y - shownY, x - shownX)}rad)`;
     return { left: shownX - halfWide, top: shownY - halfHigh, width: 2 * halfWide, height: 2 * halfHigh };

@@ -529,6 +529,92 @@ async function album() {
   return player.close();
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, hands, tutorial, drawer, door, stairs, album };
+/** A task in words by keys and lists: talks (markup stays text), washes, brings by name, reports a problem, answers the question. */
+async function words() {
+  const player = await openPage(url);
+  const { page } = player;
+  await player.started();
+  await player.drawn(3);
+  const asked = "document.getElementById('ask').open";
+  const log = "[...document.querySelectorAll('#log li')].map((row) => row.innerText)";
+  if (!(await player.ask("probe.game.talk.shown"))) await player.press("t");
+  await page.fill("#words", "<img src=x onerror='window.ran = true'> hello");
+  await page.press("#words", "Enter");
+  await player.until(`${log}.length > 0`, "the log");
+  await page.selectOption("#phrases", { index: 1 });
+  await player.until(`${log}.length > 1`, "the ready-made message");
+  await player.drawn(2);
+  await player.shot(picture("talk"));
+  const thing = await player.ask("probe.game.deeds.uses.findIndex(Boolean)");
+  const list = async (button) => {
+    await page.focus("#view");
+    await page.keyboard.press("b");
+    await player.until("document.getElementById('do').open", "the list");
+    if (button !== "#do-bring") await page.selectOption("#do-thing", String(thing));
+    else {
+      const spot = await player.ask(`(() => {
+        const task = document.getElementById("title").innerText;
+        const found = probe.game.manifest.spots.find((one) => task.includes(one.label.replace(/^on the /, "")) && task.includes(one.room));
+        return found?.name ?? "";
+      })()`);
+      await page.selectOption("#do-place", spot);
+      await player.shot(picture("list"));
+    }
+    await page.click(button);
+    await player.nap(500);
+    const stands = "probe.game.net.latest.ack >= probe.game.net.seq - 1 && (probe.game.net.latest.flags & 8) === 0";
+    await player.until(`${asked} || (${stands})`, "the body to stand", 150_000);
+  };
+  if (thing >= 0) {
+    await list("#do-use");
+    await player.until("document.getElementById('lines').innerText.includes('now.')", "the line about what was done", 60_000);
+  }
+  await page.click("#button-finish");
+  await page.fill("#problem", "The <b>robot</b> stands in the way.");
+  await player.shot(picture("finish"));
+  await page.click("#finish-problem");
+  for (let k = 0; k < 4 && !(await player.ask("probe.game.held >= 0")); k++) await list("#do-take");
+  await player.shot(picture("taken"));
+  for (let k = 0; k < 4 && !(await player.ask(asked)); k++) await list("#do-bring");
+  await player.until(asked, "the question", 60_000);
+  const question = await player.ask("document.getElementById('ask-heading').innerText");
+  await page.fill("#ask-more", "It was fun.");
+  await player.shot(picture("question"));
+  await page.click("#ask button[value=yes]");
+  await player.until("!!probe.over", "the end of the episode");
+  await player.shot(picture("end"));
+  const markup = await player.ask("window.ran === true || !!document.querySelector('#log img, #marks img, #title img')");
+  return { over: await player.over, question, markup, log: await player.ask(log), ...(await player.close()) };
+}
+
+/** How a task in words looks in a window of another size, with somebody's message over their head. */
+async function wordsAt() {
+  const [link, size] = url.split("@");
+  const [width, height] = size.split("x").map(Number);
+  const player = await openPage(link, { width, height, touch: width < 700 });
+  await player.started();
+  await player.drawn(3);
+  if (!(await player.ask("probe.game.talk.shown"))) await player.page.click("#button-talk");
+  await player.page.fill("#words", "Where are you?");
+  await player.page.press("#words", "Enter");
+  await player.until("document.querySelectorAll('#log li').length > 0", "the log");
+  await player.drawn(3);
+  await player.shot(picture(size));
+  const boxes = await player.ask(OVERLAPS);
+  const task = await player.ask("document.getElementById('task').innerText");
+  const run = await player.ask("!!document.querySelector('#task img, #log img, #marks img')");
+  return { boxes, task, run, ...(await player.close()) };
+}
+
+/** Pairs of parts of the page that lie on each other. */
+const OVERLAPS = `(() => {
+  const parts = ["task", "bar", "map", "talk", "hint", "stick", "thumbs"].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
+  const seen = parts.filter(([, box]) => box.width > 0 && box.height > 0);
+  const on = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+  const out = seen.filter(([, box]) => box.left < -1 || box.top < -1 || box.right > innerWidth + 1 || box.bottom > innerHeight + 1).map(([id]) => [id, "out"]);
+  return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
+})()`;
+
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));

@@ -1,0 +1,111 @@
+"""Language model beside a game that keeps time: a thread waits for its answers, and the game goes on meanwhile."""
+
+from __future__ import annotations
+
+import threading
+import time
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from h3data.policies import Action, RearrangeView
+from h3data_llm.endpoint import Endpoint, LanguageModelError, Reply
+from sim_kinematic.agents.skills import SkillResult
+
+RETRY_S = 5.0
+"""Time after which a language model that failed is asked again [s]."""
+
+
+class Thinking(Exception):
+    """The answer to a request has not come yet."""
+
+
+class PatientEndpoint:
+    """Endpoint that never waits: a request is asked for again until its answer is there."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        """Asks nothing yet."""
+        self._endpoint = endpoint
+        self._answers: SimpleQueue[Reply | LanguageModelError] = SimpleQueue()
+        self._is_asked = False
+
+    def ask(self, body: bytes) -> Reply:
+        """The answer to the body of a request.
+
+        Raises:
+            Thinking: it has not come yet.
+            LanguageModelError: the endpoint fails.
+        """
+        if not self._is_asked:
+            self._is_asked = True
+            # a daemon: a game that ends does not wait for an answer
+            threading.Thread(target=self._fetch, args=(body,), name="h3data language model", daemon=True).start()
+        try:
+            answer = self._answers.get_nowait()
+        except Empty:
+            raise Thinking from None
+        self._is_asked = False
+        if isinstance(answer, LanguageModelError):
+            raise answer
+        return answer
+
+    def _fetch(self, body: bytes) -> None:
+        try:
+            self._answers.put(self._endpoint.ask(body))
+        except LanguageModelError as fault:
+            self._answers.put(fault)
+        except Exception as fault:  # whatever it is, the game goes on
+            self._answers.put(LanguageModelError(f"{type(fault).__name__}: {fault}", code="H3-LLM-030"))
+
+
+class BackgroundModel:
+    """Policy of a language model in a live game. While it thinks, what it does goes on; a robot with nothing to do stands."""
+
+    def __init__(self, policy: Any) -> None:
+        """Takes over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
+        self._policy = policy
+        self._view: RearrangeView | None = None
+        """View of the decision that is being made; None: none is."""
+        self._action: Action | None = None
+        self._ended: SkillResult | None = None
+        """The last choice, and its result once it has ended."""
+        self._retry_at, self.faults = 0.0, list[str]()
+
+    def command(self, view: RearrangeView) -> Action | None:
+        """The choice for the next step; None: what the agent does goes on, or it has not decided yet. Never waits."""
+        if self._view is None:
+            last = self._ended
+            if self._action is not None and last is None:
+                reason = self._policy.interrupts(view._replace(action=self._action, last=None))
+                if not reason:
+                    return None
+                last = SkillResult("aborted", reason)
+            if time.monotonic() < self._retry_at:
+                return None
+            self._view = view._replace(action=self._action, last=last)
+        try:
+            action = self._policy.act(self._view)
+        except Thinking:
+            return None
+        except LanguageModelError as fault:
+            self._view, self._retry_at = None, time.monotonic() + RETRY_S
+            self.faults.append(f"step {int(view.step)}: {fault}")
+            return None
+        self._view = None
+        if action == self._action and self._ended is None:
+            return None  # it goes on
+        self._action, self._ended = action, None
+        return action
+
+    def after(self, spans: list[Any]) -> None:
+        """Takes note of the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
+        own = [span for span in spans if span.reason != "commanded"]
+        if self._action is not None and self._ended is None and own and own[0].name == self._action.skill:
+            self._ended = SkillResult(own[0].outcome, own[0].reason)
+
+    def recorded_info(self) -> dict[str, Any]:
+        """Recorded facts of the policy, with the faults of the endpoint."""
+        (found,) = self._policy.recorded_info()["llm"]
+        return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
+
+    def close(self) -> None:
+        """Ends nothing: a thread that waits for an answer ends with it."""
