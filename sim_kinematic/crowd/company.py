@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +117,9 @@ def circle_radius(people: int) -> float:
 
 def closed_area(free: FreeSpace, xz: Array) -> float:
     """Return the area [m2] of floor that people who stand at places [N, 2] cut off from the largest part that they leave."""
-    from scipy.ndimage import label
+    from scipy import ndimage
+
+    label: Any = ndimage.label  # its types do not say that it returns two values
 
     x, z = (
         origin + free.cell_m * (np.arange(count) + 0.5)
