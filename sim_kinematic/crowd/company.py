@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.free_space import sample_sdf
+from sim_kinematic.crowd.reactions import sees
 from sim_kinematic.motion.step import wrap_angle
 from sim_kinematic.motion.stride import point_along
 
@@ -25,12 +27,18 @@ VIEW_RAD = math.pi / 2
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
 """A member slows down to the first share of the speed at most while the company is within this distance, else to the second. So
 nobody stands still in a passage, where the members walk one behind the other."""
+ONWARD = 0.3
+"""Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
 """Number of places for a conversation that are compared."""
+PASSING_M, EDGE_M = 0.95, 0.25
+"""Distances at which people pass those who stand and talk, and walls: both bodies with what feet reach ahead [m]."""
+CLOSED_M2 = 0.2
+"""Area of floor that a conversation may cut off from the rest [m2]."""
 
 
 @kernel(error_model="numpy")
@@ -50,24 +58,31 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 
 
 @kernel(error_model="numpy")
-def keep_company(m, company, places, wx, wz, tau):
+def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
     """Wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)`` for themselves, with the forces of their group.
 
     The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
     0.3 m, and members nearer than 0.8 m repel each other. A force counts as the change of velocity within ``tau`` [s].
 
     Args:
+        sdf: Signed distances of the floor's grid [m].
+        origin: Position of the grid.
+        cell: Size of its cells [m].
         m: Number of the person.
         company: Number of the walking group of each person of the crowd [M], -1: none.
         places: Positions (x, z) [N, 2] [m].
         wx: Wanted velocity [m/s].
         wz: The same along z.
         tau: Time constant of the desired velocity [s].
+        in_sight: True if only members count whom the person sees, as others would pull them against a wall, and if members go
+            on at least slowly. False repeats recordings of earlier versions.
     """
     x, z = places[m, 0], places[m, 1]
     others, cx, cz, rx, rz = 0, 0.0, 0.0, 0.0, 0.0
     for j in range(len(company)):
         if j == m or company[j] != company[m]:
+            continue
+        if in_sight and not sees(sdf, origin, cell, x, z, places[j, 0], places[j, 1]):
             continue
         px, pz = places[j, 0] - x, places[j, 1] - z
         distance = max(math.hypot(px, pz), 1e-6)
@@ -79,7 +94,7 @@ def keep_company(m, company, places, wx, wz, tau):
         return wx, wz
     cx, cz = cx / others, cz / others
     away = max(math.hypot(cx, cz), 1e-6)
-    wanted = math.hypot(wx, wz)
+    wanted, ox, oz = math.hypot(wx, wz), wx, wz
     if wanted > 0.05:
         turned = max(abs(wrap_angle(math.atan2(cz, cx) - math.atan2(wz, wx))) - VIEW_RAD, 0.0)
         share = max(1.0 - tau * GAZE * turned, SLOW if away < TOGETHER_M else SLOWEST)
@@ -87,7 +102,12 @@ def keep_company(m, company, places, wx, wz, tau):
     # the centre of all members, the person included, is nearer than that of the others
     centre = away * others / (others + 1.0)
     pull = tau * COHESION * min(max((centre - others / 2.0) / 0.3, 0.0), 1.0)
-    return wx + pull * cx / away + tau * REPULSION * rx, wz + pull * cz / away + tau * REPULSION * rz
+    wx, wz = wx + pull * cx / away + tau * REPULSION * rx, wz + pull * cz / away + tau * REPULSION * rz
+    if in_sight and wanted > 0.05:
+        # one behind the other in a passage, the first would go back to the second, who cannot come nearer
+        missing = max(ONWARD - (wx * ox + wz * oz) / (wanted * wanted), 0.0)
+        wx, wz = wx + missing * ox, wz + missing * oz
+    return wx, wz
 
 
 def circle_radius(people: int) -> float:
@@ -95,16 +115,46 @@ def circle_radius(people: int) -> float:
     return max(NEAR_M, APART_M / 2 / math.sin(math.pi / people))
 
 
-def standing_circle(free: FreeSpace, xz: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def closed_area(free: FreeSpace, xz: Array) -> float:
+    """Return the area [m2] of floor that people who stand at places [N, 2] cut off from the largest part that they leave."""
+    from scipy import ndimage
+
+    label: Any = ndimage.label  # its types do not say that it returns two values
+
+    x, z = (
+        origin + free.cell_m * (np.arange(count) + 0.5)
+        for origin, count in zip(free.origin, free.sdf.shape, strict=True)
+    )
+    open_floor = free.sdf >= EDGE_M
+    left = open_floor.copy()
+    # nobody goes into the circle either, so its inside is not cut off
+    centre = xz.mean(0)
+    discs = [(*place, PASSING_M) for place in xz] + [(*centre, float(np.hypot(*(xz - centre).T).max()))]
+    for px, pz, radius in discs:
+        left &= (x[:, None] - px) ** 2 + (z[None] - pz) ** 2 >= radius**2
+    islands, _ = label(open_floor)
+    pieces, count = label(left)
+    if not count:
+        return float(open_floor.sum()) * free.cell_m**2
+    # parts that nobody could reach before are not cut off by these people
+    areas = np.bincount(pieces[left], minlength=count + 1)
+    home = islands[pieces == np.argmax(areas)][0]
+    return float((left & (islands == home)).sum() - areas.max()) * free.cell_m**2
+
+
+def standing_circle(
+    free: FreeSpace, xz: Array, rng: np.random.Generator, *, leaves_way: bool = True
+) -> tuple[Array, Array]:
     """Return the places [N, 2] of people who talk, and the centre [2] that they face: an F-formation (Kendon 1990).
 
-    The circle is where it has room, as near to the people as possible, and each takes the nearest place on it. In a home
-    without such room the roomiest place is taken, and people who cannot stand on the circle stand inside it.
+    The circle is where it has room and others can pass, as near to the people as possible, and each takes the nearest place
+    on it. In a home without such room the roomiest place is taken, and people who cannot stand on the circle stand inside it.
 
     Args:
         free: The floor.
         xz: Positions of the people now [N, 2] [m].
         rng: Source of the places that are compared.
+        leaves_way: False for conversations of earlier versions, which may close a passage.
     """
     radius = circle_radius(len(xz))
     centres = free.sample(rng, CANDIDATES)
@@ -112,7 +162,22 @@ def standing_circle(free: FreeSpace, xz: Array, rng: np.random.Generator) -> tup
     far = sum(free.geodesic(np.broadcast_to(own, centres.shape), centres) for own in xz)
     far = np.where(np.isfinite(far), far, 1e6)
     # a metre of missing room costs as much as a path of 1 km: room comes first wherever there is some
-    centre = centres[np.argmin(far + 1e3 * np.maximum(radius + BEHIND_M - room, 0.0))]
+    order = np.argsort(far + 1e3 * np.maximum(radius + BEHIND_M - room, 0.0), kind="stable")
+    # most places that are near and roomy leave a way, so the first that does is found soon; else the one that closes least
+    least, chosen = np.inf, (xz, xz[0])
+    for k in order.tolist():
+        places = _circle_at(free, xz, centres[k])
+        closed = closed_area(free, places) if leaves_way else 0.0
+        if closed < least:
+            least, chosen = closed, (places, np.asarray(centres[k]))
+        if closed < CLOSED_M2:
+            break
+    return chosen
+
+
+def _circle_at(free: FreeSpace, xz: Array, centre: Array) -> Array:
+    """Return the places [N, 2] on the circle around a centre, or inside it, for people who come from places [N, 2]."""
+    radius = circle_radius(len(xz))
     angles = 2 * np.pi * np.arange(len(xz)) / len(xz)
     begin = math.atan2(*(xz[0] - centre)[::-1]) if np.hypot(*(xz[0] - centre)) > 1e-6 else 0.0
     ring = centre + radius * np.stack([np.cos(begin + angles), np.sin(begin + angles)], 1)
@@ -125,4 +190,4 @@ def standing_circle(free: FreeSpace, xz: Array, rng: np.random.Generator) -> tup
             share -= 0.1
             at = centre + share * (ring[best] - centre)
         places[k] = at
-    return places, np.asarray(centre)
+    return places

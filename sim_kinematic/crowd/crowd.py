@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.company import standing_circle
+from sim_kinematic.crowd.company import PASSING_M, standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
@@ -30,6 +30,12 @@ STUCK_PATHS, AWAY_M = 4, 1.0
 """Number of goals that people who are stuck compare, and the distance along the path at which they look for others [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
+WAY_M = 1.5
+"""Length of the path before people who are stuck on which those who stay in their way make room [m]."""
+VERSION = 2
+"""Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
+conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
+somebody cannot get past."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""
@@ -91,6 +97,7 @@ class Crowd:
         spec: CrowdSpec | None = None,
         stride: StrideSpec | None = None,
         places: dict[Any, SeatPlace] | None = None,
+        version: int = VERSION,
     ) -> None:
         """Create a crowd that stands still and has no goals yet.
 
@@ -104,12 +111,13 @@ class Crowd:
             spec: Constants of avoidance.
             stride: Limits of walking.
             places: Seats that people of all crowds of a world have, by crowd and number; this crowd adds its own.
+            version: `VERSION` by which they decide; an earlier one repeats older recordings.
         """
         people = len(traits)
-        self._free, self._seed = free, seed
+        self._free, self._seed, self._version = free, seed, version
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
-        self._forces, self._rules = model == "social_force", (spec or CrowdSpec()).numbers
+        self._forces, self._rules = model == "social_force", (spec or CrowdSpec(company_in_sight=version > 1)).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
         self._counts = np.zeros(people, np.int64)
@@ -234,7 +242,10 @@ class Crowd:
             members = [m for m, role in enumerate(self._roles) if role.group == word]
             number = int(word.removeprefix("talk") or 0)
             places, (x, z) = standing_circle(
-                self._free, xz[members], generator(self._seed, "conversation", world=number)
+                self._free,
+                xz[members],
+                generator(self._seed, "conversation", world=number),
+                leaves_way=self._version > 1,
             )
             for m, place in zip(members, places, strict=True):
                 self._guides[m] = _talking(self._guides[m], np.asarray(place, np.float64), (float(x), float(z)), word)
@@ -261,6 +272,8 @@ class Crowd:
                 self._stays[m, 2] = SEATED if errand.seat is not None else self._stays[m, 2]
                 self.new_events.append((m, "activity", errand.activity, errand.place))
                 arrived[m] = stuck[m] = False
+        if self._version > 1:
+            self._make_room(xz, np.flatnonzero(stuck & ~arrived & (left >= CLOSE_M)), step)
         done = stays & (self._until <= step)
         self._until[done], self._stays[done, 2] = -1.0, 0.0
         chooses = arrived | stuck | done | (self._counts < 2)
@@ -291,6 +304,16 @@ class Crowd:
                 # a path of two equal points: people without any goal stand where they are
                 self._set_path(m, np.array([xz[m], xz[m]], np.float64))
             self._best[m] = 0.0, step
+
+    def _make_room(self, xz: Array, stuck: NDArray[np.intp], step: int) -> None:
+        """End the stay of everybody who stands for a time on the path of people who are ``stuck``."""
+        standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
+        for m in stuck.tolist() if len(standing) else ():
+            count = self._counts[m]
+            ahead = self._along[m] + np.arange(0.0, WAY_M, PASSING_M / 4)
+            way = np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
+            near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
+            self._until[standing[near]] = step
 
     def _errands_from(self, m: int, xz: Array, most: int) -> list[Errand]:
         """Return up to ``most`` errands of a person to goals that they have not reached already."""

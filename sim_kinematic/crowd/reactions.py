@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from h3data.kernels import kernel
+from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.motion.step import wrap_angle
 
 
@@ -55,6 +56,21 @@ VIEW_RAD = math.radians(100.0)
 """Angle from the direction of their gaze up to which people see robots [rad]."""
 SIGHT_M = 0.05
 """Distance from an obstacle to the line between two places below which it hides them from each other [m]."""
+
+
+@kernel(error_model="numpy")
+def sees(sdf, origin, cell, ax, az, bx, bz):
+    """Returns whether the straight line between two places is free of walls and furniture."""
+    length = math.hypot(bx - ax, bz - az)
+    at = 0.0
+    while at < length:
+        share = at / length
+        clear = sample_sdf(sdf, origin, cell, ax + share * (bx - ax), az + share * (bz - az))
+        if clear < SIGHT_M:
+            return False
+        # sphere tracing: nothing is nearer than ``clear``, so the line is free for as long
+        at += max(clear, 0.05)
+    return True
 
 
 @kernel(error_model="numpy")

@@ -14,7 +14,7 @@ from h3data.kernels import kernel
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
 from sim_kinematic.crowd.company import keep_company, walk_beside
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
-from sim_kinematic.crowd.reactions import IMPASSIVE, SIGHT_M, TABLE, notice, reacting_velocity
+from sim_kinematic.crowd.reactions import IMPASSIVE, TABLE, notice, reacting_velocity, sees
 from sim_kinematic.crowd.social_force import interaction
 from sim_kinematic.motion.step import wrap_angle
 from sim_kinematic.motion.stride import point_along, progress_along, slide_along_walls
@@ -42,21 +42,6 @@ SEATED = 3.0
 """Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
-
-
-@kernel(error_model="numpy")
-def sees(sdf, origin, cell, ax, az, bx, bz):
-    """Returns whether the straight line between two places is free of walls and furniture."""
-    length = math.hypot(bx - ax, bz - az)
-    at = 0.0
-    while at < length:
-        share = at / length
-        clear = sample_sdf(sdf, origin, cell, ax + share * (bx - ax), az + share * (bz - az))
-        if clear < SIGHT_M:
-            return False
-        # sphere tracing: nothing is nearer than ``clear``, so the line is free for as long
-        at += max(clear, 0.05)
-    return True
 
 
 @kernel(error_model="numpy")
@@ -495,7 +480,7 @@ def step_crowd(
                 wx, wz = 0.0, 0.0
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
-                wx, wz = keep_company(m, company, places, wx, wz, GROUP_S)
+                wx, wz = keep_company(sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0)
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
         if reaction[0] > 0.0:

@@ -51,6 +51,8 @@ class CrowdSpec:
     """Social force: angular range of an interaction for slowing down."""
     n_prime: float = 3.0
     """Social force: angular range of an interaction for turning aside."""
+    company_in_sight: bool = True
+    """True if people of a walking group keep together with those whom they see, and go on at least slowly."""
 
     @property
     def numbers(self) -> Array:

@@ -132,6 +132,8 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
             code="H3-TASK-072",
         )
     assigned = assign(task, episode, {} if people is None else {"human": people})
+    for mine, agent in zip(assigned, recording.agents, strict=True):
+        _repeat_crowd(mine, recording, agent.name)
     own = [
         # robots repeat recorded decisions, so their policies need not be at hand
         mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
@@ -396,6 +398,7 @@ def _assigned(
             if choice is None:
                 with names_from_data():
                     result.append(_policy(task, episode, k, named[k]))
+                _repeat_crowd(result[-1], recording, member.name)
             else:
                 result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
@@ -409,6 +412,13 @@ def _assigned(
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result
+
+
+def _repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
+    """Let a person of a crowd decide by the version of the rules that the recording holds for them."""
+    if isinstance(assigned.policy, CrowdPolicy):
+        people = recording.episode.info.get("people")
+        assigned.policy.repeat(people.get(name) if isinstance(people, dict) else None)
 
 
 def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:

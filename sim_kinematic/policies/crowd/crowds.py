@@ -12,7 +12,7 @@ from h3data.bodies import Robot
 from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
+from sim_kinematic.crowd.crowd import NO_DISCS, VERSION, Crowd, CrowdModel, Discs, robot_discs
 from sim_kinematic.crowd.errands import Guide
 from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.seating import SeatPlace
@@ -37,6 +37,8 @@ class CrowdMember:
     role: Role
     seed: int
     """Seed of the episode."""
+    version: int = VERSION
+    """Version of the rules by which the crowd decides."""
 
 
 class Moment(NamedTuple):
@@ -97,7 +99,7 @@ class Crowds:
         """Move all people who follow one model by one step."""
         w, members = self._row, self._members[model]
         if model not in self._crowds:
-            # people of one world share home, seed and walker, so the first one's stand for all
+            # people of one world share home, seed, walker and version, so the first one's stand for all
             people = list(members.values())
             self._crowds[model] = Crowd(
                 people[0].free,
@@ -109,6 +111,7 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
+                version=people[0].version,
             )
         xz, heading, was_xz, was_heading = (values[w] for values in self._moment())
         discs, robots, count = [NO_DISCS], [], 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,10 +62,20 @@ class CrowdPolicy:
         """Return the place after step number ``step``, computed by the crowds of the person's world."""
         return crowds.move(self.member, agent, step)
 
+    def repeat(self, facts: Any) -> None:
+        """Decide by the version of a recording's ``facts`` about the person; by the first one if they name none."""
+        version = facts.get("version") if isinstance(facts, dict) else None
+        self.member = replace(self.member, version=version if isinstance(version, int) else 1)
+
     @property
     def facts(self) -> dict[str, Any]:
-        """Facts about the person in recordings: model, traits and role."""
-        facts = {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
+        """Facts about the person in recordings: model, version, traits and role."""
+        facts = {
+            "model": self.member.model,
+            "version": self.member.version,
+            **self.member.traits._asdict(),
+            **self.member.role._asdict(),
+        }
         return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
 
     def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None, taken: Sequence[Array]) -> Errand:

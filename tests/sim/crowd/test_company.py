@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ import h3data
 from benchmarks.people import hall
 from h3data.errors import InputError
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.company import circle_radius, standing_circle
-from sim_kinematic.crowd.crowd import Crowd, CrowdModel, Discs
+from h3data.scene.open import named_scenes, open_free_space
+from h3data_crowds.places import build_plan
+from sim_kinematic.crowd.company import circle_radius, closed_area, standing_circle
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import Role, check_groups, read_role
@@ -169,6 +172,37 @@ def test_circles_of_any_size_keep_room_between_neighbours(people: int, seed: int
     assert gaps.min() >= 1.0 - 1e-6
     np.testing.assert_allclose(np.hypot(*(places - centre).T), circle_radius(people), atol=1e-9)
     assert FLOOR.signed_distance(places).min() > 0.2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_conversations_leave_a_way_around_them(seed: int):
+    source = named_scenes("h3-homes/val#8")[0].source
+    free = open_free_space(source, 0.25, 1.41)
+    xz = free.sample(generator(seed, "test"), 2)
+    before, _ = standing_circle(free, xz, generator(seed, "talk"), leaves_way=False)
+    places, _ = standing_circle(free, xz, generator(seed, "talk"))
+    assert closed_area(free, places) < 0.2, "the rest of the floor hangs together"
+    assert closed_area(free, places) <= closed_area(free, before)
+
+
+def test_a_conversation_in_a_doorway_closes_the_room_behind_it():
+    free = FreeSpace.from_scene(build_plan("door"), cache=False)
+    assert closed_area(free, np.array([[0.0, -0.5], [0.0, 0.5]])) > 10.0
+    assert closed_area(free, np.array([[-2.5, -0.5], [-2.5, 0.5]])) < 0.2
+
+
+def test_recordings_without_a_version_follow_the_first_rules():
+    chosen = {"human": ["orca+walk1", "orca+walk1", "orca+talk1", "orca+talk1"]}
+    recording = h3data.simulate(
+        "wander", "h3-homes/val#8", roster=["human"] * 4, agents=chosen, seed=1, max_steps=300, spawn_distance_m=1.0
+    )
+    assert verify(recording).difference is None
+    people = recording.episode.info["people"]
+    assert {person["version"] for person in people.values()} == {VERSION}
+    older = {name: {key: value for key, value in facts.items() if key != "version"} for name, facts in people.items()}
+    for info in ({"people": older}, {"people": None}):
+        episode = replace(recording.episode, info={**recording.episode.info, **info})
+        assert verify(replace(recording, episode=episode)).difference is not None, "the first rules are others"
 
 
 @given(st.lists(st.sampled_from([*REACTIONS, "any", "walk1", "talk12", "morning"]), max_size=4), st.integers(0, 99))
