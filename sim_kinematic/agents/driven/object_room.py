@@ -24,7 +24,7 @@ class ObjectRoomSpec:
     """A thing may be this deep in what stands beside it: sampled goals keep to the surface that carries them, not out of
     its own edges (1 of 16 goals in small homes is 2.1 cm in one)."""
     upright: float = 0.7
-    """A contact counts as one from the side where the vertical part of its normal is smaller."""
+    """Vertical part of a contact's normal below which the contact is one from the side."""
     support_m: float = 0.05
     """Largest distance of a thing from the surface below that carries it [m]."""
     apart_m: float = 0.01

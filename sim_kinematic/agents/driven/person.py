@@ -41,17 +41,17 @@ class DrivenPersonSpec:
     """Limits of a person whom somebody drives."""
 
     hand_steps: int = 8
-    """An arm takes this many steps from its swing to its target, and back."""
+    """Number of steps in which an arm moves from its swing to its target, and back."""
     hand_mps: float = 4.0
     """Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
     head_rad_s: float = 6.0
     """Largest speed at which the head turns [rad/s]."""
     meeting_m: float = 0.12
-    """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
+    """Distance from the robot's hand at which a giving hand stops, as the object is between them [m]."""
     draws_in_mps: float = 0.4
     """Speed at which the robot's hand closes around what it is given."""
     eyes_m: float = 1.4
-    """Height at which somebody looks ahead who is about to sit down."""
+    """Height at which a person who is about to sit down looks ahead [m]."""
     seat_within_m: float = 3.0
     """A person who is told to sit takes the nearest seat within this distance."""
 
@@ -63,7 +63,7 @@ _NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
-    """A person that follows `PersonCommand`s. Until the first of them, it does every skill exactly as a `PersonActor`."""
+    """Person that follows `PersonCommand`s. Until the first command, every skill is that of a `PersonActor`."""
 
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""
@@ -94,7 +94,7 @@ class DrivenPerson(PersonActor):
         return self.company is not None and self.company.solid
 
     def meets(self) -> bool:
-        """Returns whether the person touches somebody now, or is nearer to a solid one than they may come."""
+        """Return whether the person touches another agent now, or is nearer to a solid one than allowed."""
         return super().meets() or (self._is_solid and self.company.comes_too_near(self))  # type: ignore[union-attr]
 
     # --- what it can do -----------------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ class DrivenPerson(PersonActor):
         return super().infeasible(action)
 
     def refusal(self, action: Action) -> str:
-        """Reason why an action would fail if it began now, as far as can be told; empty: it would not."""
+        """Return the reason why an action would fail if it began now, as far as known; empty if it would succeed."""
         why = self.infeasible(action)
         if why or action.skill not in ("pick", "place") or action.command:
             return why

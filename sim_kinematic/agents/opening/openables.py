@@ -41,7 +41,7 @@ class OpeningSpec:
     shrunk_m: float = 0.008
     """Distance at which parts may pass things beside them [m]."""
     passes_m: float = 0.03
-    """Agents are hit when their disc is this deep in a part."""
+    """Depth of an agent's disc in a part from which on the agent counts as hit [m]."""
     tall_m: float = 1.8
     """Height over the floor above which a part passes over everybody's head [m]."""
 
@@ -221,7 +221,7 @@ class ArticulatedParts:
         return found
 
     def open_points(self) -> NDArray[np.float64]:
-        """Floor points [P, 2] over which parts stand that are not closed: nobody can stand there."""
+        """Return floor points [P, 2] below parts that are not closed, where agents cannot stand."""
         ajar = np.flatnonzero(self.joints.shares(self.positions) > 0.05)
         found = [self.points(int(k), self.positions[[k]])[:, [0, 2]] for k in ajar]
         return np.concatenate([np.zeros((0, 2)), *found])

@@ -53,7 +53,7 @@ class _Part(NamedTuple):
 
 
 class ArmClearance:
-    """Asks for one scene and one robot."""
+    """Test of the room that a reaching arm needs, for one scene and one robot."""
 
     def __init__(self, scene: Scene, robot: Robot, floor_y: float) -> None:
         self._scenery, self._robot = scenery_of(scene), robot

@@ -158,7 +158,7 @@ def _found_bearing(robot: Robot) -> float:
 
 @lru_cache(maxsize=256)
 def aimed(robot: Robot, aside_rad: float) -> Robot:
-    """The robot, reaching so far to the left of where it does."""
+    """Return the robot with its reach direction turned to the left by an angle [rad]."""
     return replace(robot, reach_bearing=reach_bearing(robot) + aside_rad) if aside_rad else robot
 
 

@@ -43,7 +43,8 @@ TRIED, TURN_M_RAD = 24, 1.0
 LOOK_M = 0.5
 """So near to the floor before a place a robot looks at it [m]."""
 ARM_OUT_M = 0.05
-"""A base stands while the hand is farther from its middle than this beyond the folded arm's."""
+"""A base does not drive while the hand is farther from its middle than the hand of the folded arm by more than this
+[m]."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
