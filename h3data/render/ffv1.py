@@ -32,7 +32,7 @@ _AT_ONCE = 32
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
     np.uintp(k) for k in (0, 1, 2, 3, 4, 8, 15, 16, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
 )
-"""Unsigned constants for computing addresses: numba makes a float of the sum of a signed and an unsigned number."""
+"""Numbers as addresses are computed with: numba takes the sum of a signed and an unsigned number for a float."""
 _REVERSED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
 
 
