@@ -33,7 +33,7 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_pipelines.validation.penetration import Penetration, penetrations, unintended_depth
-from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, LINE_RADIUS_M, arm_links
+from sim_kinematic.agents.robots.arm_clearance import CLEARANCE, arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -106,8 +106,8 @@ def _through_walls(recording: Recording) -> list[bool]:
         assert isinstance(body, Robot)
         start = replay.link_matrices(event.agent)[event.step, arm_links(body)[0], :3, 3].astype(np.float64)[None]
         there = recording.columns["object_pose"][event.step, moving[event.target], :3].astype(np.float64)
-        end = there[None] + np.array([0.0, APPROACH_M, 0.0])
-        line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
+        end = there[None] + np.array([0.0, CLEARANCE.approach_m, 0.0])
+        line = MovingShapes(shapes_from_capsules(start, end, CLEARANCE.line_radius_m))
         line.set_transforms(capsule_transforms(start, end))
         found.append(any(home.names[contact.index_a] == WALLS for contact in contacts(home, line)))
     return found

@@ -18,7 +18,7 @@ class H3DataError(Exception):
     """
 
     code: str = "H3-OTHER-000"
-    """The code of the message. An error that is raised without one, as by a plug-in, has the one of this class."""
+    """Code of the message. An error raised without a code, as by a plug-in, has the code of its class."""
 
     def __init__(self, *args: object, code: str = "") -> None:
         super().__init__(*args)

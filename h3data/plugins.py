@@ -140,7 +140,9 @@ class Plugin:
 
 @cache
 def own_entries(group: str) -> dict[str, str]:
-    """``module:name`` by name of a group's entry points that come with this package, whether their modules are there or not.
+    """Return the references ``module:name`` of those entry points of a group that come with this package, by name.
+
+    Their modules need not be installed.
 
     A source tree on PYTHONPATH, which is not installed, has them in its ``pyproject.toml``.
     """
@@ -167,7 +169,7 @@ def missing_part(fault: ModuleNotFoundError) -> str:
 
 
 def import_name(module: str, name: str) -> Any:
-    """The object of a name in a module that may be of a package which is not there.
+    """Return an object from a module of a package that may not be installed.
 
     Raises:
         InputError: a package of h3data is missing; the message names it.
@@ -302,7 +304,7 @@ class Registry(Generic[T]):
         )
 
     def missing(self) -> dict[str, str]:
-        """Packages that come with this one but are not there, by the name of the entry that each would add."""
+        """Packages of h3data that are not installed, by the name of the entry that each would add."""
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()

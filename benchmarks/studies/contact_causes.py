@@ -22,7 +22,7 @@ from h3data.stats.intervals import wilson_interval
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import KEEP_DISTANCE_M, heuristic_expert, next_waypoint
+from sim_kinematic.policies.social_nav import EXPERT, heuristic_expert, next_waypoint
 from sim_kinematic.policies.views import SocialNavView
 
 TURNS_ABOVE_RAD = 0.1
@@ -32,13 +32,13 @@ METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 
 def turns_then_drives(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The heuristic expert, but it approaches as Habitat's navigation skill: it turns on the spot or drives at full speed."""
-    if not np.isfinite(view.geodesic_m) or view.geodesic_m <= KEEP_DISTANCE_M:
+    if not np.isfinite(view.geodesic_m) or view.geodesic_m <= EXPERT.keep_distance_m:
         return heuristic_expert(view, spec)
     dx, dz = next_waypoint(view, spec) - view.robot_xz
     error = float((np.arctan2(-dz, dx) - view.robot_heading + np.pi) % (2 * np.pi) - np.pi)
     if abs(error) > TURNS_ABOVE_RAD:
         return Velocity(0.0, float(np.clip(error / (spec.max_turn_rad_s * STEP_S), -1, 1)), "find")
-    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    gap = (view.geodesic_m - EXPERT.keep_distance_m) / (spec.max_speed_mps * STEP_S)
     return Velocity(min(gap, 1.0), 0.0, "find")
 
 

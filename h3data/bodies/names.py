@@ -59,7 +59,7 @@ def split_walk(model: str) -> tuple[str, str]:
 
 
 def stored_name(model: str) -> str:
-    """The name by which recordings know a body with a motion; others as they are.
+    """Return the name that recordings use for a body with a motion; other names are returned unchanged.
 
     Raises:
         InputError: there is no such motion file, or nobody walks in it.
@@ -90,7 +90,7 @@ def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
 
 
 def walk_facts(models: Iterable[str]) -> dict[str, Any]:
-    """Entries of a recording's info about the walks that stored names of bodies contain, by the name of the attachment."""
+    """Return entries for a recording's info about the walks in stored names of bodies, by the name of the attachment."""
     return {
         name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
         for name, data in walk_attachments(models).items()

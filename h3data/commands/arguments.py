@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def result_of(command: type[Command], given: dict[str, Any]) -> Any:
-    """Runs a command with options as Python has them."""
+    """Run a command, given its options as Python values."""
     from h3data.commands.options import check_task, in_python_words, options_of, python_value
     from h3data.errors import H3DataError
 

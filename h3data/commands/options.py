@@ -109,7 +109,7 @@ class Option:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The built-in tasks that have it; empty if all have."""
+        """Built-in tasks that have the option; empty if all tasks have it."""
         return next((mark.tasks for mark in self.metadata if isinstance(mark, OfTasks)), ())
 
     @property

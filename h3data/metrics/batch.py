@@ -34,7 +34,7 @@ from h3data.recording.storage import AnyPath, RemotePath
 
 @dataclass(frozen=True)
 class Part:
-    """Episodes that are measured together, by whom ever."""
+    """Episodes that are measured together, by one worker."""
 
     source: AnyPath
     episodes: range | None
@@ -47,8 +47,10 @@ F = TypeVar("F")
 Spread = Callable[[Callable[[Part], F], Sequence[Part]], Iterable[F]]
 """Applies a function to parts, anywhere, and gives its results in their order; `map` does it here."""
 Measured = EpisodeMetrics | tuple[str, str, str]
-"""Metrics without the functions that compute them, or name, message and reason of an episode that is left out: all of it can
-be sent."""
+"""Metrics without the functions that compute them, or the name, message and reason of an episode that was left out.
+
+All of it can be sent between processes.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,7 @@ def measure_sources(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> Iterator[EpisodeMetrics | LeftOut]:
-    """Yields the metrics of each episode of datasets and logs in order, or why there are none.
+    """Yield the metrics of each episode of datasets and logs in order, or the reason why there are none.
 
     A chunk of episodes per worker is in memory.
     """

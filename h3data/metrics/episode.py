@@ -159,7 +159,7 @@ def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def for_each_partner(measured: EpisodeMetrics, info: Mapping[str, Any]) -> list[EpisodeMetrics]:
-    """The measurement once for each partner that shares its recording; of a recording that nobody shares, itself."""
+    """Return the measurement once for each partner that shares its recording, or only itself if no partner shares it."""
     return [replace(measured, partner=partner) for partner in shared_by(info)] or [measured]
 
 

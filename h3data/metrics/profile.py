@@ -73,7 +73,8 @@ class Profile:
     compute: Callable[[Recording, Notes], Computed] | None = None
     """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
-    """`compute` of several recordings at once, in its place: NumPy's calls take longer than the arithmetic on one episode."""
+    """Function that computes the metrics of several recordings at once, instead of `compute`: on one episode, NumPy's
+    calls take longer than the arithmetic."""
     series: Callable[[Recording], Series] = _no_series
     """Computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
@@ -101,7 +102,7 @@ class Profile:
         return not self.tasks or task in self.tasks
 
     def measure(self, recording: Recording) -> EpisodeMetrics:
-        """Computes all its metrics of one recording.
+        """Compute all metrics of the profile for one recording.
 
         Raises:
             UnmeasurableError: the recording lacks agents, what every metric needs, or its last row.
@@ -111,7 +112,7 @@ class Profile:
         return self._measured(recording, notes, self._computed(recording, notes))
 
     def measure_many(self, recordings: Sequence[Recording]) -> list[EpisodeMetrics | UnmeasurableError]:
-        """Computes all its metrics of each of some recordings, or why there are none."""
+        """Compute all metrics of the profile for several recordings, or the reason why there are none."""
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which

@@ -13,7 +13,7 @@ from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.storage import AnyPath
 
 _CHUNK, _CHUNK_ROWS = 128, 50_000
-"""Most episodes and rows that are read together from a dataset: some MB."""
+"""Largest numbers of episodes and of rows that are read together from a dataset: some MB."""
 
 
 def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
@@ -49,7 +49,7 @@ def read_log(source: AnyPath) -> Recording | FormatError:
 
 
 def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """Episodes of a dataset by their numbers; from the first damaged one on each by itself."""
+    """Read episodes of a dataset by their numbers, together up to the first damaged one, and one by one from there."""
     first = chunk.start
     try:
         for index, recording in zip(chunk, _stored(dataset, chunk, profile), strict=True):
@@ -66,7 +66,7 @@ def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[
 
 
 def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
-    """Consecutive episodes that are read together, all of one shard, so that nobody opens its files twice."""
+    """Consecutive episodes that are read together, all of one shard, so that no file is opened twice."""
     start, steps, shard = episodes.start, 0, -1
     for index in episodes:
         row = dataset.rows[index]

@@ -26,9 +26,9 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
     key: str
     """Name of the feature, ``observation.images.robot_arm``."""
     camera: str
-    """Name of the camera on the body that carries it; that of the feature where nobody does."""
+    """Name of the camera on the body that carries it; the name of the feature if no body carries it."""
     agent: str
-    """Name of the agent that carries it; empty: nobody does, so that an environment cannot show it."""
+    """Name of the agent that carries the camera; empty if no agent does, so that an environment cannot show it."""
     width: int
     """Width of the rendered picture [px]. A video has an even width: its last column may be a copy."""
     height: int
@@ -55,7 +55,7 @@ class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     sha256: str
     episode: int
-    """Number of the first episode there, which holds its file."""
+    """Number of the first episode in this scene, which holds the scene's file."""
     source: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Recipe by which the scene was made, as recordings have it."""
 
@@ -77,7 +77,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     """Light of the videos: ``baked`` or ``flat``."""
     state_key: str = "observation.state"
     state_columns: tuple[str, ...]
-    """Columns of a recording that the state is made of, one beside the other."""
+    """Columns of a recording whose values, one after the other, are the state."""
     state_names: tuple[str, ...]
     """Names of the numbers of a state."""
     action_key: str = "action"

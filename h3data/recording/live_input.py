@@ -27,7 +27,7 @@ class LiveInput:
     """Input of one player."""
 
     user: int
-    """The agent that they played."""
+    """Agent that the person played."""
     messages: int
     asked: tuple[str, ...]
     """Last wish of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""

@@ -23,7 +23,10 @@ class LogLine:
 
 
 def speech(event: Event, names: Sequence[str]) -> str:
-    """The line about a message between agents of these names; its text is as somebody has written it."""
+    """Return the line about a message between agents with these names.
+
+    Its text is unchecked, as a person or a model wrote it.
+    """
     who = names[event.agent] if 0 <= event.agent < len(names) else "somebody"
     return f'{who} says{f" to {event.target}" if event.target else ""}: "{event.detail}"'
 

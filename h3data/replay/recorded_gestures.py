@@ -13,7 +13,8 @@ BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
 RAMP_S = 0.8
 """Time in which the hands go from where they are to the gesture, and back before it ends."""
 APART_S = 1.9
-"""Gestures of agents with successive numbers are so far apart in time: who talk to each other do not move alike."""
+"""Time between the gestures of agents with successive numbers, so that people who talk to each other do not move alike
+[s]."""
 
 
 def recorded_gestures(recording: Recording, agent: int) -> Array | None:

@@ -2,7 +2,7 @@
 
 Depth images around the agent (`sight`) limit the camera's distance, so it works for any recording. The stages:
 
-1. The free distance in all directions, every `KEY_S`.
+1. The free distance in all directions, every `FRAMING.key_s`.
 2. The best path among directions (Viterbi), smoothed.
 3. The free distance along that path at every step.
 4. Its moving minimum, smoothed by a window that is no wider, so that the line of sight is free at every step.
@@ -21,33 +21,51 @@ from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
-BOOM_M = 2.6
-"""Distance from the agent if there is enough space."""
-NEAREST_M = 1.0
-"""Smallest distance; if even that is obstructed, things are cut away by the near plane (`CameraTrack.nears`)."""
-CLOSE_M = 1.6
-"""Distance below which other directions are preferred [m]."""
+
+@dataclass(frozen=True)
+class FramingSpec:
+    """Constants of the camera that follows an agent."""
+
+    boom_m: float = 2.6
+    """Distance from the agent if there is enough space."""
+    nearest_m: float = 1.0
+    """Smallest distance; if even that is obstructed, things are cut away by the near plane (`CameraTrack.nears`)."""
+    close_m: float = 1.6
+    """Distance below which other directions are preferred [m]."""
+    head_m: float = 1.5
+    """Height above the floor of the other agent's head."""
+    directions: int = 48
+    """Number of directions around the agent that are compared."""
+    elevations_deg: tuple[float, ...] = (8.0, 22.0, 42.0)
+    """Elevations of the camera over the agent that are compared [degrees]."""
+    body_m: float = 0.4
+    """Radius of an agent that obstructs the line of sight to another."""
+    key_s: float = 0.2
+    """Time between keys, i.e. steps at which a direction is chosen; directions in between are interpolated and smoothed."""
+    smooth_s: float = 0.5
+    """Half width of the window over which the distance is smoothed."""
+    around_s: float = 8.0
+    """`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
+    off_axis_rad: float = 0.5
+    """Largest angle between the optical axis and the followed agent."""
+    together_rad: float = 1.0
+    """Angle between both agents up to which both are in the picture [rad]."""
+    apart_rad: float = 1.5
+    """Angle between both agents beyond which the other one is left out [rad]."""
+    together_m: float = 6.0
+    """Distance between both agents up to which both are in the picture [m]."""
+    apart_m: float = 9.0
+    """Distance between both agents beyond which the other one is left out [m]."""
+    jump_m: float = 0.5
+    """The camera cuts where the agent moves by more than this in one step, and faster than `jump_mps`."""
+    jump_mps: float = 8.0
+    """Speed beyond which the camera cuts, if the agent also moves by more than `jump_m` [m/s]."""
+
+
+FRAMING = FramingSpec()
+
 PIVOT_M = {"robot": 0.55, "human": 1.25}
 """Height above the floor of the point on the agent that the camera keeps in sight."""
-HEAD_M = 1.5
-"""Height above the floor of the other agent's head."""
-DIRECTIONS, ELEVATIONS_DEG = 48, (8.0, 22.0, 42.0)
-BODY_M = 0.4
-"""Radius of an agent that obstructs the line of sight to another."""
-KEY_S = 0.2
-"""Time between keys, i.e. steps at which a direction is chosen; directions in between are interpolated and smoothed."""
-SMOOTH_S = 0.5
-"""Half width of the window over which the distance is smoothed."""
-AROUND_S = 8.0
-"""`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
-OFF_AXIS_RAD = 0.5
-"""Largest angle between the optical axis and the followed agent."""
-TOGETHER_RAD, APART_RAD = 1.0, 1.5
-"""Angle between both agents up to which both are in the picture, and angle beyond which the other one is left out."""
-TOGETHER_M, APART_M = 6.0, 9.0
-"""Distance between both agents up to which both are in the picture, and distance beyond which the other one is left out."""
-JUMP_M, JUMP_MPS = 0.5, 8.0
-"""The camera cuts where the agent moves by more than both limits in one step; elsewhere it moves smoothly."""
 
 
 def third_person(replay: Replay, leader: int | None = None, *, width: int = 640, height: int = 480) -> CameraTrack:
@@ -79,7 +97,7 @@ def third_person_at(
     *,
     width: int = 640,
     height: int = 480,
-    around_s: float = AROUND_S,
+    around_s: float = FRAMING.around_s,
 ) -> Camera:
     """The camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
 
@@ -119,7 +137,7 @@ class _Scene:
     @property
     def stride(self) -> int:
         """Number of steps between keys."""
-        return max(round(KEY_S / self.dt), 1)
+        return max(round(FRAMING.key_s / self.dt), 1)
 
 
 def default_leader(replay: Replay) -> int:
@@ -141,13 +159,15 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     person = (
         None if other is None else forward_fill(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]
     )
-    watched = pivot + np.insert(ahead, 1, 0.0, axis=1) if person is None else person + np.array([0.0, HEAD_M, 0.0])
+    watched = (
+        pivot + np.insert(ahead, 1, 0.0, axis=1) if person is None else person + np.array([0.0, FRAMING.head_m, 0.0])
+    )
     dt = max(recording.duration_s, 1e-3) / max(len(base) - 1, 1)
     bodies = [recording.agent_column(i, "base_pose") for i in range(len(kinds)) if i != leader]
     bodies = np.stack([b[:, [0, 2]] for b in bodies], axis=1) if bodies else np.zeros((len(base), 0, 2))
     # where an agent was put elsewhere, the camera cuts: a smooth path would fly through walls
     moved = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
-    cuts = np.flatnonzero(moved > max(JUMP_M, JUMP_MPS * dt)) + 1
+    cuts = np.flatnonzero(moved > max(FRAMING.jump_m, FRAMING.jump_mps * dt)) + 1
     sight = Sight(replay)
     return _Scene(sight, pivot, watched, person is not None, bodies, dt, np.split(np.arange(len(base)), cuts))
 
@@ -157,7 +177,7 @@ def _follow(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Camera poses [N, 4, 4] and near planes [N] [m] at the ``wanted`` rows [N] of ``steps``, which form one run.
 
-    The direction depends on all steps, the distance only on those within `SMOOTH_S`.
+    The direction depends on all steps, the distance only on those within `FRAMING.smooth_s`.
     """
     from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # takes 0.25 s, which other cameras do not need
 
@@ -165,14 +185,14 @@ def _follow(
     pivot, watched, bodies = scene.pivot[steps], scene.watched[steps], scene.bodies[steps]
     count, stride = len(steps), scene.stride
     keys = np.unique(np.append(np.arange(0, count, stride), count - 1))
-    azimuth = np.tile(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS), len(ELEVATIONS_DEG))
-    elevation = np.repeat(np.radians(ELEVATIONS_DEG), DIRECTIONS)
+    azimuth = np.tile(np.arange(FRAMING.directions) * (2 * np.pi / FRAMING.directions), len(FRAMING.elevations_deg))
+    elevation = np.repeat(np.radians(FRAMING.elevations_deg), FRAMING.directions)
     directions = _direction(azimuth, elevation)
     fan = Fan(sight, directions)
     boom, score = np.empty((2, len(keys), len(directions)))
     for row, key in enumerate(keys):
         sight.at(int(steps[key]))
-        boom[row] = fan.free(sight.around(pivot[key]), BOOM_M)
+        boom[row] = fan.free(sight.around(pivot[key]), FRAMING.boom_m)
         away = normalized((pivot - watched)[key, [0, 2]]) if two else (pivot - watched)[key, [0, 2]]
         obstructed = _first_body(pivot[key], directions, boom[row], bodies[key]) > 0
         score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * obstructed
@@ -183,7 +203,11 @@ def _follow(
     # the agent moves between keys: a direction has to be free at its neighbours too
     boom = minimum_filter1d(boom, 3, axis=0, mode="nearest")
     # a bonus for each elevation, the lowest first
-    score += 1.5 * boom / BOOM_M - 2.0 * np.maximum(1 - boom / CLOSE_M, 0.0) + np.repeat((-0.3, 0.0, -0.2), DIRECTIONS)
+    score += (
+        1.5 * boom / FRAMING.boom_m
+        - 2.0 * np.maximum(1 - boom / FRAMING.close_m, 0.0)
+        + np.repeat((-0.3, 0.0, -0.2), FRAMING.directions)
+    )
     path = _best_path(score, azimuth, elevation)
     # unwrapped, so that the angle between two keys takes the smaller of the two turns
     turned = np.interp(np.arange(count), keys, np.unwrap(azimuth[path]))
@@ -192,14 +216,14 @@ def _follow(
     direction = _direction(turned, raised)
 
     # the distance never exceeds the free one: a window over a moving minimum of its own width stays below it
-    reach = max(round(SMOOTH_S / scene.dt), 1)
-    free = np.full(count, BOOM_M)
+    reach = max(round(FRAMING.smooth_s / scene.dt), 1)
+    free = np.full(count, FRAMING.boom_m)
     for row in range(max(wanted[0] - 2 * reach, 0), min(wanted[-1] + 2 * reach + 1, count)):
         sight.at(int(steps[row]))
-        free[row] = sight.free_ahead(pivot[row], direction[row], BOOM_M)
+        free[row] = sight.free_ahead(pivot[row], direction[row], FRAMING.boom_m)
     window = np.hanning(2 * reach + 3)[1:-1]
     length = np.pad(minimum_filter1d(free, 2 * reach + 1, mode="nearest"), reach, mode="edge")
-    length = np.maximum(np.convolve(length, window / window.sum(), mode="valid"), NEAREST_M)
+    length = np.maximum(np.convolve(length, window / window.sum(), mode="valid"), FRAMING.nearest_m)
     eye = pivot + direction * length[:, None]
 
     view = normalized(pivot - eye)
@@ -207,7 +231,7 @@ def _follow(
         other = normalized(watched - (0.0, 0.5, 0.0) - eye)
         apart = _angle(view, other)
         share = 0.5 * (1 - _lost(apart)) * (1 - _far(pivot, watched))
-        turn = gaussian_filter1d(np.minimum(share * apart, OFF_AXIS_RAD), 2 * stride, mode="nearest")
+        turn = gaussian_filter1d(np.minimum(share * apart, FRAMING.off_axis_rad), 2 * stride, mode="nearest")
         view = _towards(view, other, np.minimum(turn, apart))
     view = normalized(gaussian_filter1d(view, stride, axis=0, mode="nearest"))
     poses = np.stack([look_at(e, e + v) for e, v in zip(eye[wanted], view[wanted], strict=True)])
@@ -217,7 +241,7 @@ def _follow(
         obstacle = float(_first_body(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
         # A near plane is as good as a body that stands around the eye. Farther ahead it would leave a foot below it and cut
         # a strip out of the floor, so somebody who walks by there is left whole and hides the agent for a moment.
-        if length[row] - 2 * BODY_M < obstacle < length[row]:
+        if length[row] - 2 * FRAMING.body_m < obstacle < length[row]:
             hidden[row] = max(hidden[row], length[row] - obstacle)
     return poses, (hidden * np.einsum("ti,ti->t", view, -direction))[wanted]
 
@@ -231,8 +255,8 @@ def _first_body(start: Array, directions: Array, length: Array, bodies: Array) -
     flat = np.linalg.norm(directions[:, [0, 2]], axis=1, keepdims=True)
     along = directions[:, [0, 2]] @ offsets.T / flat
     across = np.sqrt(np.maximum((offsets**2).sum(1) - along**2, 0.0))
-    meets = (across < BODY_M) & (along > 0) & (along < length[:, None] * flat + BODY_M)
-    first = np.where(meets, np.maximum(along - BODY_M, 0.4) / flat, np.inf).min(1, initial=np.inf)
+    meets = (across < FRAMING.body_m) & (along > 0) & (along < length[:, None] * flat + FRAMING.body_m)
+    first = np.where(meets, np.maximum(along - FRAMING.body_m, 0.4) / flat, np.inf).min(1, initial=np.inf)
     return np.where(np.isfinite(first), first, 0.0)
 
 
@@ -249,13 +273,13 @@ def _angle(start: Array, end: Array) -> NDArray[np.float64]:
 
 def _lost(angle: Array) -> Array:
     """0 where both agents fit into the picture, 1 where they do not, by the angle between them [rad]."""
-    return np.clip((angle - TOGETHER_RAD) / (APART_RAD - TOGETHER_RAD), 0.0, 1.0)
+    return np.clip((angle - FRAMING.together_rad) / (FRAMING.apart_rad - FRAMING.together_rad), 0.0, 1.0)
 
 
 def _far(pivot: Array, watched: Array) -> Array:
     """0 where the agents [..., 3] are near each other, 1 where they have nothing to do with each other."""
     gap = np.linalg.norm((watched - pivot)[..., [0, 2]], axis=-1)
-    return np.clip((gap - TOGETHER_M) / (APART_M - TOGETHER_M), 0.0, 1.0)
+    return np.clip((gap - FRAMING.together_m) / (FRAMING.apart_m - FRAMING.together_m), 0.0, 1.0)
 
 
 def _towards(start: Array, end: Array, angle: Array) -> Array:

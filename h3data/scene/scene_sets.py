@@ -54,7 +54,8 @@ class SceneSet:
     sha256: str
     """Digest of the file: an interrupted dataset can only be continued with the same set."""
     skipped: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
-    """Indexes of episodes that are none in a task, because they cannot be sampled or completed: by task and id of the scene."""
+    """Indexes of episodes that a task leaves out because they cannot be sampled or completed, by task and id of the
+    scene."""
 
     @property
     def label(self) -> str:

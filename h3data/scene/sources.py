@@ -88,7 +88,7 @@ class SceneGenerator:
     Spec: Callable[..., SceneSpec]
     """Makes a spec of the values, as keywords, that `Scene.source` or a table of a scene set gives."""
     Table: type[msgspec.Struct]
-    """Keys and types of such a table: ``id`` and the keywords."""
+    """Keys and types of a table in a scene set: ``id`` and the keywords of `Spec`."""
     build: Callable[[Any], Scene]
     """The scene of a spec."""
     listed: Mapping[str, SceneSize] = field(default_factory=dict)

@@ -25,8 +25,8 @@ ROUNDING = 1e-9
 BLOCK = 256
 """Lines that are followed together: their numbers fit into the first cache."""
 LOOKS = 3
-"""Lines that are done are sorted out after every so many looks, which saves a tenth of the time. The looks that they take
-meanwhile change nothing: a line is done when no further look can change its arm."""
+"""Number of looks after which finished lines are sorted out, which saves a tenth of the time. Later looks change
+nothing: a line is finished when no further look can change its arm."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06

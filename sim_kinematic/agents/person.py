@@ -62,7 +62,8 @@ CARRY = (0.27, 0.80, 0.15)
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 JOINT_STEP_RAD = 0.18
-"""A line is gone more slowly where a joint would turn faster than this per step (310 degrees a second)."""
+"""Largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed
+it."""
 EASE_M = 0.08
 """Part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01

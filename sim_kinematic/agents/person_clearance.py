@@ -45,7 +45,7 @@ class _Part(NamedTuple):
 
 
 class BodyClearance:
-    """Asks for one scene and one person."""
+    """Test of the room that a reaching person needs, for one scene and one person."""
 
     def __init__(self, scene: Scene, body: Humanoid, floor_y: float) -> None:
         self._scenery, self._body = scenery_of(scene), body

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,37 +12,46 @@ from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.robots.hand_reach import ASIDE_RAD, aimed, reach_bearing, reach_distances
+from sim_kinematic.agents.robots.hand_reach import HAND_REACH, aimed, reach_bearing, reach_distances
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.step import least_clearance
 
-BEARINGS = 24
-"""Directions from which a point is approached."""
-PERSON_DISTANCES_M = tuple(0.25 + 0.05 * k for k in range(13))
-"""Distances from which a person reaches for a point."""
-HAND_SIDE_RAD = 0.25
-"""A person stands so that the point is this far to the side of the hand that takes it."""
-SWAY_M = 0.015
-"""A person's distances count when the point is reached from this much nearer and farther as well."""
-CROWDED_M = 100.0
-"""A path longer by this is taken rather than standing where another agent stands."""
-ROOM_M = 0.02
-"""Free space around a robot's base where it stands and turns."""
-APPROACH_M = 0.3
-LEVEL_M = 0.01
-"""Floors that differ by less are one."""
+
+@dataclass(frozen=True)
+class StandSpec:
+    """Places that are tried, and the room that agents need there."""
+
+    bearings: int = 24
+    """Directions from which a point is approached."""
+    person_distances_m: tuple[float, ...] = tuple(0.25 + 0.05 * k for k in range(13))
+    """Distances from which a person reaches for a point."""
+    hand_side_rad: float = 0.25
+    """A person stands so that the point is this far to the side of the hand that takes it."""
+    sway_m: float = 0.015
+    """A person's distances count when the point is reached from this much nearer and farther as well."""
+    crowded_m: float = 100.0
+    """A path longer by this is taken rather than standing where another agent stands."""
+    room_m: float = 0.02
+    """Free space around a robot's base where it stands and turns."""
+    approach_m: float = 0.3
+    """Length of the straight approach to a stand on which the base must fit as well [m]."""
+    level_m: float = 0.01
+    """Floors that differ by less are one."""
+
+
+STANDS = StandSpec()
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0) -> Array:
     """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island."""
     point = np.asarray(point, np.float64)
-    side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
-    distances = np.array(PERSON_DISTANCES_M)
+    side = STANDS.hand_side_rad if hand == "right" else -STANDS.hand_side_rad
+    distances = np.array(STANDS.person_distances_m)
     height = point[1] - float(free.height_at(point[[0, 2]]))
-    d = np.concatenate([distances - SWAY_M, distances, distances + SWAY_M])
+    d = np.concatenate([distances - STANDS.sway_m, distances, distances + STANDS.sway_m])
     # as the person sees it: the point is as far to the right as they turn left of it in `_ring`
     points = np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
     fine = reacher(body, hand).reachable(points).reshape(3, -1).all(0)
@@ -84,19 +94,19 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
     stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
     # the circle that the base sweeps in a whole turn
-    radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
+    radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + STANDS.room_m
     return stands[free.signed_distance(stands[:, :2]) >= radius]
 
 
 def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
     """Returns poses as `robot_stands`, for handles: the base need not be able to turn around there.
 
-    The hand may also reach to the side. The base fits at the pose and on the last `APPROACH_M` straight before or
+    The hand may also reach to the side. The base fits at the pose and on the last `STANDS.approach_m` straight before or
     behind it.
     """
     point = np.asarray(point, np.float64)
     height, found = float(point[1] - free.height_at(point[[0, 2]])), list[Array]()
-    for aside in ASIDE_RAD:
+    for aside in HAND_REACH.aside_rad:
         turned = aimed(robot, aside)
         found.append(
             _on_island(free, point, _ring(point, reach_distances(turned, height), -reach_bearing(turned)), island)
@@ -105,9 +115,9 @@ def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLik
     way = np.stack([np.cos(stands[:, 2]), -np.sin(stands[:, 2])], axis=1)
     room = [np.full(len(stands), np.inf)] * 3
     for offset in base.disc_offsets_m:
-        for k, moved in enumerate((0.0, -APPROACH_M, APPROACH_M)):
+        for k, moved in enumerate((0.0, -STANDS.approach_m, STANDS.approach_m)):
             room[k] = np.minimum(room[k], free.signed_distance(stands[:, :2] + (offset + moved) * way))
-    there, back, ahead = (least >= base.disc_radius_m + ROOM_M for least in room)
+    there, back, ahead = (least >= base.disc_radius_m + STANDS.room_m for least in room)
     return stands[there & (back | ahead)]
 
 
@@ -126,7 +136,7 @@ def nearest_stand(
     if not len(stands):
         return -1, np.inf
     lengths = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
-    order = np.argsort(lengths if crowded is None else lengths + CROWDED_M * crowded, kind="stable")
+    order = np.argsort(lengths if crowded is None else lengths + STANDS.crowded_m * crowded, kind="stable")
     # one at a time, because a test of room costs a posed arm or body, and the first success ends it
     for k in order[np.isfinite(lengths[order])].tolist():
         if is_clear is None or is_clear(stands[k]):
@@ -135,8 +145,8 @@ def nearest_stand(
 
 
 def _ring(point: Array, distances: Array, side: float) -> Array:
-    """Places [D * BEARINGS, 3] around a point, each heading ``side`` [rad] to the left of it."""
-    angle, distance = np.meshgrid(np.arange(BEARINGS) * (2 * np.pi / BEARINGS), distances)
+    """Places [D * STANDS.bearings, 3] around a point, each heading ``side`` [rad] to the left of it."""
+    angle, distance = np.meshgrid(np.arange(STANDS.bearings) * (2 * np.pi / STANDS.bearings), distances)
     angle, distance = angle.ravel(), distance.ravel()
     # back from the point against the heading, whose forward is (cos h, -sin h) in (x, z)
     x, z = point[0] - distance * np.cos(angle), point[2] + distance * np.sin(angle)
@@ -152,6 +162,6 @@ def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Arr
     """Stands around a world point that are on an island and on the point's storey, and not on stairs."""
     there = free.island(stands[:, :2]) == island
     if len(free.heights):
-        level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < LEVEL_M
+        level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < STANDS.level_m
         return stands[there & level]
     return stands[there]

@@ -20,21 +20,29 @@ from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.stride import Strider
 
-MOST_STEPS = 20_000
-"""Number of steps that no walk to one goal reaches: eleven minutes."""
-ARC_STEP_M = 0.08
-"""Distance below which way points belong to one rounded corner (5 cm apart at a radius of 0.25 m) [m]."""
-ARC_TURN_MAX = 1.75
-"""Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
-MIN_WALK_M = 1.5
-"""Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
-ASIDE_STEP_M = 0.02
-"""A way point is moved away from what is near in steps of this length."""
-AHEAD_M = 0.2
-"""Sampled goals are so much farther from everything than `WalkerSpec.clearance_m`: people may run at a wall there, hands
-first."""
-APART_M = 0.15
-"""Way points are not moved nearer together than this: short legs mean turning on the spot."""
+
+@dataclass(frozen=True)
+class WaypointSpec:
+    """Constants of walks along way points."""
+
+    most_steps: int = 20_000
+    """Number of steps that no walk to one goal reaches: eleven minutes."""
+    arc_step_m: float = 0.08
+    """Distance below which way points belong to one rounded corner (5 cm apart at a radius of 0.25 m) [m]."""
+    arc_turn_max: float = 1.75
+    """Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
+    min_walk_m: float = 1.5
+    """Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
+    aside_step_m: float = 0.02
+    """A way point is moved away from what is near in steps of this length."""
+    ahead_m: float = 0.2
+    """Sampled goals are so much farther from everything than `WalkerSpec.clearance_m`: people may run at a wall there, hands
+    first."""
+    apart_m: float = 0.15
+    """Way points are not moved nearer together than this: short legs mean turning on the spot."""
+
+
+WAYPOINTS = WaypointSpec()
 
 
 @dataclass
@@ -74,7 +82,7 @@ class WaypointHuman:
         """
         while self._row >= len(self._track):
             self._next_goal(xz)
-            self._track, self._row = self._strides().whole(xz, heading, most=MOST_STEPS), 0
+            self._track, self._row = self._strides().whole(xz, heading, most=WAYPOINTS.most_steps), 0
         self._row += 1
         return self._track[self._row - 1]
 
@@ -84,7 +92,7 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The next goal [2] of somebody at ``position`` [2]: given, or sampled at least `MIN_WALK_M` away."""
+        """The next goal [2] of somebody at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
@@ -102,11 +110,11 @@ class WaypointHuman:
         rng = generator(self.seed, "human_goal", step=self.goal)
         candidates = self.free.sample(rng, 32)
         lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
-        walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= MIN_WALK_M))
+        walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= WAYPOINTS.min_walk_m))
         # a home with nothing that far away: the farthest point there is
         pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
         clearance = self.spec.clearance_m
-        return aside(self.free, candidates[pick], clearance + AHEAD_M) if clearance else candidates[pick]
+        return aside(self.free, candidates[pick], clearance + WAYPOINTS.ahead_m) if clearance else candidates[pick]
 
 
 def walking_path(
@@ -133,7 +141,7 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
             moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
             # the corner before has moved already, the one after has not yet
             ends = roomy[k - 1], path[k + 1]
-            apart = all(np.hypot(*(moved - end)) >= APART_M for end in ends)
+            apart = all(np.hypot(*(moved - end)) >= WAYPOINTS.apart_m for end in ends)
             if apart and all(_sees(free, end, moved) for end in ends):
                 roomy[k] = moved
                 break
@@ -148,7 +156,7 @@ def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> ND
         length = float(np.hypot(*away))
         if length < 1e-6:
             break
-        there = here + away / length * min(ASIDE_STEP_M, clearance_m - room)
+        there = here + away / length * min(WAYPOINTS.aside_step_m, clearance_m - room)
         wider = float(free.signed_distance(there))
         # on a ridge between two things there is no more room, and steps would go to and fro across it
         if wider < room + 1e-3:
@@ -162,7 +170,7 @@ def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.floa
 
     A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
     """
-    short = np.hypot(*np.diff(path, axis=0).T) < ARC_STEP_M
+    short = np.hypot(*np.diff(path, axis=0).T) < WAYPOINTS.arc_step_m
     kept = [path[0]]
     k = 1
     while k < len(path) - 1:
@@ -183,7 +191,7 @@ def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) 
     u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
     cross = u[0] * v[1] - u[1] * v[0]
     # a cross product of 0: parallel legs meet nowhere
-    if abs(np.arctan2(cross, u @ v)) > ARC_TURN_MAX or cross == 0:
+    if abs(np.arctan2(cross, u @ v)) > WAYPOINTS.arc_turn_max or cross == 0:
         return None
     gap = leaving[0] - arriving[0]
     # a + s u = b + t v, solved for s by Cramer's rule

@@ -141,7 +141,7 @@ class AvoidanceSpec:
     returns_m: float = 1.5
     """Length of an agent's own path that must not lead onto the other's before it continues [m]."""
     skips_m: float = 0.3
-    """The first part of a path, on which nobody counts as in the way: they are beside the agent."""
+    """Length of the first part of a path, on which no agent counts as in the way, because it is beside [m]."""
     held_up_steps: int = 10
     """Number of stalled steps after which moving agents are asked to yield too."""
     gives_up_steps: int = 45

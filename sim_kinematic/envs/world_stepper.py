@@ -307,7 +307,7 @@ class WorldStepper:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Apply the actions [W, n] of the agents that act, and lets the others follow their policies.
+        """Apply the actions [W, n] of the agents that act, and let the others follow their policies.
 
         Agents with skills play on until one that acts must choose again, or to the end; worlds whose episode is over give
         zeros, and actions count for the agents that are `choosing`.

@@ -112,7 +112,7 @@ class StrideSpec:
     turn_rad_s: float = 1.8
     turn_accel_rad_s2: float = 7.0
     steer_per_s: float = 2.6
-    """Turn rate for each radian between the heading and the point that they walk to."""
+    """Turn rate per radian between a person's heading and the direction to the point that they walk to."""
     look_m: float = 0.7
     """Largest distance of the point that the person walks towards [m]; it is nearer where there is little room."""
     sidestep_rad: float = 0.35

@@ -173,12 +173,12 @@ class NavigationContext:
 
     @property
     def before(self) -> Pose:
-        """The robot one step ago; at the start where it is."""
+        """State of the robot one step ago; at the start, its present state."""
         return self.now if self._view.robot_before is None else Pose(*self._view.robot_before)
 
     @property
     def other_before(self) -> Pose:
-        """The person one step ago; at the start where they are."""
+        """State of the person one step ago; at the start, their present state."""
         return self.other if self._view.human_before is None else Pose(self._view.human_before, None)
 
     def floor_y(self) -> Floats:

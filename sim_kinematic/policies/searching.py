@@ -12,18 +12,28 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.sight import LOOK_STEPS
 
-GROUP_M = 1.5
-"""Places this near to each other count as seen together from one of them [m]."""
-STAND_M, OPENING_M = 3.0, 12.0
-"""Length of path that a stop at a place costs, and that opening its door or drawer costs in addition [m]."""
-THEIRS = 0.4
-"""Weight of a place that is nearer to the other agent, who may look at it too."""
-COMPARED = 8
-"""Number of places, the best by straight lines, that are compared by lengths of paths."""
-AVOID_STEPS = 900
-"""Number of steps for which a place that could not be reached is avoided."""
-PAUSE = 15
-"""Number of steps that an agent waits where there is no place left to look at."""
+
+@dataclass(frozen=True)
+class SearchSpec:
+    """Costs and distances by which places are searched."""
+
+    group_m: float = 1.5
+    """Places this near to each other count as seen together from one of them [m]."""
+    stand_m: float = 3.0
+    """Cost of a stop at a place, as a length of path [m]."""
+    opening_m: float = 12.0
+    """Additional cost of opening its door or drawer, as a length of path [m]."""
+    theirs: float = 0.4
+    """Weight of a place that is nearer to the other agent, who may look at it too."""
+    compared: int = 8
+    """Number of places, the best by straight lines, that are compared by lengths of paths."""
+    avoid_steps: int = 900
+    """Number of steps for which a place that could not be reached is avoided."""
+    pause: int = 15
+    """Number of steps that an agent waits where there is no place left to look at."""
+
+
+SEARCHING = SearchSpec()
 
 
 @dataclass
@@ -45,11 +55,11 @@ class Search:
             if ended.outcome == "failed" or (arrived and not looked[now]):
                 # a door or drawer that could not be opened shuts all places behind it
                 same = shut == shut[now] if shut[now] >= 0 else np.arange(len(shut)) == now
-                self._avoid |= dict.fromkeys(np.flatnonzero(same).tolist(), view.step + AVOID_STEPS)
+                self._avoid |= dict.fromkeys(np.flatnonzero(same).tolist(), view.step + SEARCHING.avoid_steps)
         if now < 0 or looked[now] or self._avoid.get(now, 0) > view.step:
             self._place = now = self._best(view)
         if now < 0:
-            return Action("wait", steps=PAUSE)
+            return Action("wait", steps=SEARCHING.pause)
         if shut[now] < 0:
             return Action(SEARCH, now)
         joint = int(shut[now])
@@ -76,17 +86,17 @@ class Search:
             return -1
         floor = points[left][:, [0, 2]]
         # places behind another door or drawer cannot be seen from there
-        together = (np.hypot(*(floor[:, None] - floor).transpose(2, 0, 1)) < GROUP_M) & (
+        together = (np.hypot(*(floor[:, None] - floor).transpose(2, 0, 1)) < SEARCHING.group_m) & (
             shut[left][:, None] == shut[left]
         )
         gain = together.sum(1).astype(np.float64)
         mine = np.hypot(*(floor - view.xz).T)
         # NaN: there is no other agent, who might look at some places meanwhile
         if np.isfinite(view.other_xz).all():
-            gain *= np.where(np.hypot(*(floor - view.other_xz).T) < mine, THEIRS, 1.0)
-        cost = STAND_M + OPENING_M * (shut[left] >= 0)
+            gain *= np.where(np.hypot(*(floor - view.other_xz).T) < mine, SEARCHING.theirs, 1.0)
+        cost = SEARCHING.stand_m + SEARCHING.opening_m * (shut[left] >= 0)
         # paths take a search each, so only the best by straight lines are compared by them
-        best = np.argsort(-gain / (mine + cost), kind="stable")[:COMPARED]
+        best = np.argsort(-gain / (mine + cost), kind="stable")[: SEARCHING.compared]
         ways = view.free.geodesic(np.broadcast_to(view.xz, (len(best), 2)), floor[best], max_snap_m=2.0)
         return left[int(best[np.argmax(gain[best] / (ways + cost[best]))])]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -33,30 +34,46 @@ ROBOT_SKILLS = ("find", "follow", "back_up", "wait")
 
 Policy = Callable[[SocialNavView, BaseSpec], Velocity]
 
-KEEP_DISTANCE_M = 1.5
-"""The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
-SLACK_M = 0.1
-"""Distance beyond ``KEEP_DISTANCE_M`` within which the expert does not approach a person who comes nearer."""
-STEER_STEPS = 8
-"""Number of steps that the experts look ahead for the best direction to drive."""
-ESCAPE_STEPS = 30
-"""Number of steps that the experts look ahead for room to let the person pass."""
-MARGIN_M = 0.15
-"""Gap between robot and person that the experts keep where they can [m]."""
-TURN_COST_M = 0.5
-"""Length of path [m] that one radian of heading error costs."""
-ROOM_COST = 8.0
-"""Cost of each metre by which the gap is smaller than ``MARGIN_M`` [m]."""
-REACH_M = 2.0
-"""Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
-SAMPLES = 24
-"""Number of commands that the sampling expert samples in every step."""
+
+@dataclass(frozen=True)
+class ExpertSpec:
+    """Constants of the experts that find and follow a person."""
+
+    keep_distance_m: float = 1.5
+    """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
+    slack_m: float = 0.1
+    """Distance beyond ``keep_distance_m`` within which the expert does not approach a person who comes nearer."""
+    steer_steps: int = 8
+    """Number of steps that the experts look ahead for the best direction to drive."""
+    escape_steps: int = 30
+    """Number of steps that the experts look ahead for room to let the person pass."""
+    margin_m: float = 0.15
+    """Gap between robot and person that the experts keep where they can [m]."""
+    turn_cost_m: float = 0.5
+    """Length of path [m] that one radian of heading error costs."""
+    room_cost: float = 8.0
+    """Cost of each metre by which the gap is smaller than ``margin_m`` [m]."""
+    reach_m: float = 2.0
+    """Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
+    samples: int = 24
+    """Number of commands that the sampling expert samples in every step."""
+
+
+EXPERT = ExpertSpec()
+
 _LEVELS = (1.0, 0.5, 0.0, -0.5, -1.0)
 _STEERING = np.array(
-    [(f, t, n, f) for f in _LEVELS for t in _LEVELS for n in ((STEER_STEPS // 2, STEER_STEPS) if t else (STEER_STEPS,))]
+    [
+        (f, t, n, f)
+        for f in _LEVELS
+        for t in _LEVELS
+        for n in ((EXPERT.steer_steps // 2, EXPERT.steer_steps) if t else (EXPERT.steer_steps,))
+    ]
 )
 """Commands for the next steps, as `roll_out` takes them. Each turn is tried for half and for all of them."""
-_BACKING = np.array([(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, ESCAPE_STEPS) if t else (ESCAPE_STEPS,))])
+_BACKING = np.array(
+    [(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, EXPERT.escape_steps) if t else (EXPERT.escape_steps,))]
+)
 """Commands to back away: straight, or in a bend and then straight."""
 
 
@@ -83,9 +100,9 @@ def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
 
 
 def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
-    """Return where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
+    """Return where the person will be in the next `EXPERT.escape_steps` steps if they go on as in the last one."""
     velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
-    return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
+    return straight_walk(view.free, view.human_xz, velocity, EXPERT.escape_steps)
 
 
 def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
@@ -96,8 +113,8 @@ def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     would walk into it, it backs away in the bend that leaves most room. It knows the person's position now and one step ago.
     """
     step_m, receding = spec.max_speed_mps * STEP_S, _receding(view)
-    gap_m = view.geodesic_m + receding - KEEP_DISTANCE_M
-    if receding < 0 < gap_m < SLACK_M:
+    gap_m = view.geodesic_m + receding - EXPERT.keep_distance_m
+    if receding < 0 < gap_m < EXPERT.slack_m:
         return _back_up(view, spec, receding / step_m, hurries=False)
     gap = gap_m / step_m
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
@@ -108,7 +125,7 @@ def _receding(view: SocialNavView) -> float:
 
     Without it, a robot in front of a person who walks towards it backs away and returns every other step.
     """
-    if view.human_before is None or view.geodesic_m > REACH_M:
+    if view.human_before is None or view.geodesic_m > EXPERT.reach_m:
         return 0.0
     (away_x, away_z), (step_x, step_z) = (
         (view.human_xz - view.robot_xz).tolist(),
@@ -125,7 +142,7 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
-    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    gap = (view.geodesic_m - EXPERT.keep_distance_m) / (spec.max_speed_mps * STEP_S)
     if gap <= 0:
         backward, turn, _ = _straight_back(view, spec, gap)
         return Velocity(backward, turn, "back_up")
@@ -147,9 +164,9 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
     commands = np.concatenate([np.array([(1.0, turn, _steps_to_turn(error, spec), 1.0)]), _STEERING])
     commands[:, [0, 3]] = np.clip(commands[:, [0, 3]], -gap, gap)  # tried as slowly as it will be done
-    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=STEER_STEPS)
+    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=EXPERT.steer_steps)
     left, off = _way_left(view.free, goal, ends.xz, ends.heading)
-    forward, turn = commands[np.argmin(left + TURN_COST_M * off), :2].tolist()
+    forward, turn = commands[np.argmin(left + EXPERT.turn_cost_m * off), :2].tolist()
     return Velocity(forward, turn, "follow" if view.met else "find")
 
 
@@ -161,16 +178,16 @@ def _back_up(view: SocialNavView, spec: BaseSpec, gap: float, *, hurries: bool =
     backward, turn, error = _straight_back(view, spec, gap)
     straight = np.array([(backward, turn, _steps_to_turn(error, spec), backward)])
     walk = _expected_walk(view)
-    trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
+    trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=EXPERT.escape_steps)
     # the usual case: one roll-out instead of dozens
-    if trial(straight, walk).gap_m[0] >= MARGIN_M:
+    if trial(straight, walk).gap_m[0] >= EXPERT.margin_m:
         return Velocity(backward, turn, "back_up")
     calm = _BACKING * (max(-gap, 0.0), 1.0, 1.0, max(-gap, 0.0)) if gap > -1 else _BACKING[:0]
     commands = np.concatenate([straight, calm, _BACKING if hurries or gap <= -1 else _BACKING[:0]])
     ends = trial(commands, walk)
     dx, dz = (walk[-1] - ends.xz).T
     error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))
-    best = np.argmin(ROOM_COST * np.maximum(MARGIN_M - ends.gap_m, 0.0) + TURN_COST_M / 2 * error)
+    best = np.argmin(EXPERT.room_cost * np.maximum(EXPERT.margin_m - ends.gap_m, 0.0) + EXPERT.turn_cost_m / 2 * error)
     return Velocity(float(commands[best, 0]), float(commands[best, 1]), "back_up")
 
 
@@ -192,7 +209,7 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     predicting the walk collides more often than one that just backs away (in 75% of episodes, according to a draft of the
     paper's appendix), because it drives to where the person is going.
     """
-    if not view.met and view.geodesic_m > REACH_M:
+    if not view.met and view.geodesic_m > EXPERT.reach_m:
         return _approach(view, spec, view.human_xz)
     return _best_sample(view, spec, _expected_walk(view))
 
@@ -210,16 +227,18 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
         )
     future = view.future()
     # near the end of an episode the known future is shorter: they stay where it ends
-    walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
-    if not view.met and view.geodesic_m > REACH_M:
+    walk = np.concatenate(
+        [future[: EXPERT.escape_steps], np.repeat(future[-1:], max(EXPERT.escape_steps - len(future), 0), axis=0)]
+    )
+    if not view.met and view.geodesic_m > EXPERT.reach_m:
         return _approach(view, spec, _meeting(view, spec, future))
     return _best_sample(view, spec, walk)
 
 
 def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the first place [2] on the person's path that the robot can reach before they leave it; else their place."""
-    # to find the person it need only come within `REACH_M` of them
-    soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
+    # to find the person it need only come within `EXPERT.reach_m` of them
+    soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + EXPERT.reach_m
     in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz
 
@@ -228,18 +247,18 @@ def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64])
     """Return the best of fixed and sampled commands, given a person who walks along ``walk`` [H, 2]."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
-    drawn = generator(view.seed, "policy/sampling", step=view.step).uniform(-1, 1, (SAMPLES, 3))
+    drawn = generator(view.seed, "policy/sampling", step=view.step).uniform(-1, 1, (EXPERT.samples, 3))
     steps = np.exp2(3.5 + 1.5 * drawn[:, 2])  # 4 to 32
-    forward = np.where(np.arange(SAMPLES) % 2, np.sign(drawn[:, 0]), drawn[:, 0])
-    then = np.where(np.arange(SAMPLES) % 4 < 2, forward, 0.0)
+    forward = np.where(np.arange(EXPERT.samples) % 2, np.sign(drawn[:, 0]), drawn[:, 0])
+    then = np.where(np.arange(EXPERT.samples) % 4 < 2, forward, 0.0)
     # the row of zeros: to stand still may be best
     commands = np.vstack([_STEERING, _BACKING, np.stack([forward, drawn[:, 1], steps, then], -1), np.zeros((1, 4))])
-    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=STEER_STEPS)
-    left, error = _way_left(view.free, walk[STEER_STEPS - 1], ends.xz, ends.heading)
-    lacking = np.maximum(MARGIN_M - ends.gap_m, 0.0)
-    best = np.argmin(np.abs(left - KEEP_DISTANCE_M) + TURN_COST_M * error + ROOM_COST * lacking)
+    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=EXPERT.steer_steps)
+    left, error = _way_left(view.free, walk[EXPERT.steer_steps - 1], ends.xz, ends.heading)
+    lacking = np.maximum(EXPERT.margin_m - ends.gap_m, 0.0)
+    best = np.argmin(np.abs(left - EXPERT.keep_distance_m) + EXPERT.turn_cost_m * error + EXPERT.room_cost * lacking)
     forward, turn = commands[best, :2].tolist()
-    skill = "back_up" if forward < 0 and view.geodesic_m < KEEP_DISTANCE_M else "follow" if view.met else "find"
+    skill = "back_up" if forward < 0 and view.geodesic_m < EXPERT.keep_distance_m else "follow" if view.met else "find"
     return Velocity(forward, turn, skill)
 
 

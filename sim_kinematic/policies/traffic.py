@@ -65,7 +65,7 @@ class WalkingAgent(PersonActor):
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
-        """Walk to a floor point [2], or gives up where somebody does not let them pass."""
+        """Walk to a floor point [2], or give up where another agent does not let them pass."""
         yield from self._walk(goal)
         return SkillResult("done")
 

@@ -109,7 +109,7 @@ class RearrangeView(NamedTuple):
     other_track: NDArray[np.float64]
     """Past positions of the other agent, the newest last, shape [N, 2] [m]."""
     close: bool
-    """The other is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
+    """True if the other agent is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
     objects: NDArray[np.float64]
     """Positions of the objects, shape [K, 3] [m]."""
     goals: NDArray[np.float64]
@@ -122,11 +122,11 @@ class RearrangeView(NamedTuple):
     starts: NDArray[np.float64]
     """Initial positions of the objects, shape [K, 3] [m]."""
     hand: Callable[[], NDArray[np.floating]]
-    """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
+    """Function that returns the pose7 [7] of the hand in the world: a robot's hand, or a person's right palm."""
     arm: NDArray[np.float64]
     """Positions of the arm's joints of a robot [n]; of a person [0]."""
     start: NDArray[np.float64]
-    """Pose at which it began, ``(x, z, heading)`` [3]."""
+    """Pose of the agent at the beginning of the episode, ``(x, z, heading)`` [3]."""
     before: NDArray[np.float64]
     """Pose one step ago, ``(x, z, heading)`` [3]."""
     contact: bool
@@ -134,8 +134,8 @@ class RearrangeView(NamedTuple):
     collision: bool
     """Agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
-    """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to bring it from there to
-    its goal; -1: none."""
+    """Function that returns the number of the door or drawer that has to be opened first to take an object or, with
+    True, to bring it from there to its goal; -1 if there is none."""
     observe: Observe | None = None
     """Function that returns the agent's observation of a name; None if observations are not computed."""
     places: Places | None = None

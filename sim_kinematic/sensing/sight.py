@@ -35,11 +35,11 @@ NEAR_M = 1.2
 LOOK_STEPS = 6
 """Steps from one look to the next."""
 MARGIN_M = 0.04
-"""Furniture that reaches this near to a point does not hide it: it stands on it or lies in it [m]."""
+"""Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
 MOVED_M = 0.1
 """A thing farther than this from where it was seen has been moved [m]."""
 ABOVE_M = 0.08
-"""A place is looked at so far above its surface [m]."""
+"""Height above the surface of a place at which agents look at it [m]."""
 
 
 class Places(NamedTuple):
@@ -107,7 +107,7 @@ class Sight:
         """Things that are behind something closed, [K]."""
 
     def open(self, is_open: Flags) -> None:
-        """Take down which doors and drawers are open, [J]."""
+        """Note which doors and drawers are open, [J]."""
         first = (next((k for k in needed if not is_open[k]), -1) for needed in self._joints)
         self.shut = np.fromiter(first, np.int64, len(self._joints))
 

@@ -103,9 +103,9 @@ class Robot:
     hull_discs: Array
     """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: others avoid these."""
     max_speed_mps: float | None = None
-    """Speed limit of the base; None: the task's."""
+    """Speed limit of the base [m/s]; None for the limit of the task."""
     max_turn_rad_s: float | None = None
-    """Turn rate limit of the base; None: the task's."""
+    """Turn rate limit of the base [rad/s]; None for the limit of the task."""
     hand_link: int = -1
     """The link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))

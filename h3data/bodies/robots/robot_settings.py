@@ -68,11 +68,11 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hand_up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Direction in the frame of that link that points up when the hand is level."""
     reach_bearing_deg: float | None = None
-    """Bearing at which the robot has things in front of it that it reaches for: 0 ahead, 90 to the left; by default the first
-    of ahead, right, left and behind in which the arm reaches."""
+    """Bearing in which the robot reaches for things [degrees]: 0 is ahead, 90 to the left. The default is the first of
+    ahead, right, left and behind in which the arm reaches something."""
     legs: tuple[LegSettings, ...] = ()
     climbs_stairs: bool | None = None
-    """True if the robot walks up and down stairs; by default if it has legs. To others stairs are walls."""
+    """True if the robot walks up and down stairs (default: if it has legs). For other robots, stairs are walls."""
     cameras: tuple[CameraSettings, ...] = ()
 
 

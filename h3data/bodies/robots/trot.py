@@ -7,6 +7,8 @@ the base in the middle of that stance. The simulation does not know of it: as in
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -23,35 +25,48 @@ from h3data.geometry import (
 )
 from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers
 
-STRIDE_M = 0.7
-"""Longest distance that a robot covers in one cycle of a leg."""
-LEAST_STRIDE_M = 0.28
-STRIDE_STEPS = 6.0
-"""A stride is 0.2 m and what is covered in this many steps, up to `STRIDE_M` at 2.5 m/s. With equal strides at all speeds, legs
-that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
-STRIDE_OFFSET_M = 0.2
-SMOOTH_STEPS = 9
-"""Steps over which the distance covered in a step is averaged for that."""
-DUTY = 0.55
-"""Fraction of the cycle in which a foot stands."""
-LIFT_M = 0.05
-"""Height to which a swinging foot is lifted; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
-TUCK = 0.7
-"""A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24 episodes,
-hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
-SETTLE_STEPS = 4
-"""Number of steps after a stop within which all feet are on the floor."""
-SETTLE_M = 0.05
-"""Feet are lifted fully where the base covers at least this distance in the steps around."""
-NOSE_CLEAR_M, OVER_SHARE = 0.02, 0.25
-"""A foot passes over the noses of steps at this height, but at the beginning and the end of its swing."""
-LEAN_SHARE = 0.5
-"""Share of the way from below the root to below the hips by which feet under a pitched base are moved. With all of it the lower
-legs of `quad_arm` were too short for the steps below, with none the upper ones were folded flat."""
-JUMP_M = 0.5
-"""Distance of a step beyond which the base was moved from outside, so that the trot begins anew [m]."""
-MAX_STRETCH = 0.999
-"""Largest stretch as a share of the length of a leg, so that the knee keeps its side."""
+
+@dataclass(frozen=True)
+class TrotSpec:
+    """Constants of the trot."""
+
+    stride_m: float = 0.7
+    """Longest distance that a robot covers in one cycle of a leg."""
+    least_stride_m: float = 0.28
+    """Shortest stride, of a robot that hardly moves [m]."""
+    stride_steps: float = 6.0
+    """A stride is 0.2 m and what is covered in this many steps, up to `stride_m` at 2.5 m/s. With equal strides at all
+    speeds, legs that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
+    stride_offset_m: float = 0.2
+    """Length of a stride at speed 0, before it is clipped [m]."""
+    smooth_steps: int = 9
+    """Steps over which the distance covered in a step is averaged, from which the stride is computed."""
+    duty: float = 0.55
+    """Fraction of the cycle in which a foot stands."""
+    lift_m: float = 0.05
+    """Height to which a swinging foot is lifted; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
+    tuck: float = 0.7
+    """A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24
+    episodes, hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
+    settle_steps: int = 4
+    """Number of steps after a stop within which all feet are on the floor."""
+    settle_m: float = 0.05
+    """Feet are lifted fully where the base covers at least this distance in the steps around."""
+    nose_clear_m: float = 0.02
+    """Height at which a foot passes over the noses of steps [m]."""
+    over_share: float = 0.25
+    """Share of a swing, at its beginning and at its end, in which the foot has not yet, or no longer, this height."""
+    lean_share: float = 0.5
+    """Share of the way from below the root to below the hips by which feet under a pitched base are moved. With all of it
+    the lower legs of `quad_arm` were too short for the steps below, with none the upper ones were folded flat."""
+    jump_m: float = 0.5
+    """Distance of a step beyond which the base was moved from outside, so that the trot begins anew [m]."""
+    max_stretch: float = 0.999
+    """Largest stretch as a share of the length of a leg, so that the knee keeps its side."""
+
+
+TROT = TrotSpec()
+
 _BLOCK_STEPS = 4096
 """Worked out at once: the matrices of a long track would take a hundred times its memory."""
 
@@ -86,7 +101,7 @@ def trot(
     # a damaged quaternion gives a matrix without an inverse: such steps keep their recorded joints
     is_turned = np.abs(np.linalg.norm(bases[:, 3:], axis=1) - 1) < 0.1
     there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1) & is_turned
-    jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > JUMP_M
+    jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > TROT.jump_m
     begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
         if there[first]:
@@ -122,7 +137,7 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
 def _lean(robot: Robot, bases: Array) -> Array:
     """Returns how far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
     up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
-    return -LEAN_SHARE * robot.base_height_m * up
+    return -TROT.lean_share * robot.base_height_m * up
 
 
 def _ahead(way: Array, heading: Array) -> Array:
@@ -134,10 +149,10 @@ def _cycles(way: Array) -> Array:
     covered = np.diff(way)
     if not len(covered):
         return np.zeros(len(way))
-    weight = np.ones(min(SMOOTH_STEPS, len(covered)))
+    weight = np.ones(min(TROT.smooth_steps, len(covered)))
     # at both ends over the fewer steps that there are
     smooth = np.convolve(covered, weight, "same") / np.convolve(np.ones(len(covered)), weight, "same")
-    stride = np.clip(STRIDE_OFFSET_M + STRIDE_STEPS * smooth, LEAST_STRIDE_M, STRIDE_M)
+    stride = np.clip(TROT.stride_offset_m + TROT.stride_steps * smooth, TROT.least_stride_m, TROT.stride_m)
     return np.concatenate([[0.0], np.cumsum(covered / stride)])
 
 
@@ -155,19 +170,19 @@ def _feet(
 
     ``feet`` [L, 3] are their places at rest, which on stairs are ``lean`` [T] ahead of the root.
     """
-    edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
-    lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
+    edges = np.clip(rows[:, None] + [-TROT.settle_steps, TROT.settle_steps], 0, len(way) - 1)
+    lift = TROT.lift_m * np.clip(np.diff(way[edges], axis=1)[:, 0] / TROT.settle_m, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
     # upright: feet at rest do not pitch with the base
     roots = pose_to_matrix(ground_pose(bases[rows][:, [0, 2]], heading[rows], bases[rows, 1]))
     for k, foot in enumerate(feet):
-        begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
+        begin = TROT.duty / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
         place = begin + cycles[rows]
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
             """Place of the foot on the floor during a cycle [m]; before the first step it is that at rest."""
-            middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
+            middle = np.where(number <= begin, 0.0, number + TROT.duty / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
             if len(heights):
@@ -177,17 +192,17 @@ def _feet(
             return at
 
         # the first swing begins where the feet stood
-        lifts_off = np.maximum(cycle + DUTY, begin)
+        lifts_off = np.maximum(cycle + TROT.duty, begin)
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
         weight = smoothstep(swing)[:, None]
         out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
         rest = transform_points(roots, foot[None])[:, 0]
         if len(heights):
             rest[:, ::2] += _ahead(lean[rows], heading[rows])
-        out[:, k] += (TUCK * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
+        out[:, k] += (TROT.tuck * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
         if len(heights):
-            noses = foot[1] + NOSE_CLEAR_M + nose_heights(heights, 0.0, out[:, k, ::2])
-            over = np.clip(np.minimum(swing, 1 - swing) / OVER_SHARE, 0, 1)
+            noses = foot[1] + TROT.nose_clear_m + nose_heights(heights, 0.0, out[:, k, ::2])
+            over = np.clip(np.minimum(swing, 1 - swing) / TROT.over_share, 0, 1)
             out[:, k, 1] += over * np.maximum(noses - out[:, k, 1], 0.0)
         out[:, k, 1] += lift * np.sin(np.pi * swing)
     return out
@@ -207,7 +222,7 @@ def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float
     roll = np.arctan2(z, y) - np.arctan2(-down, side)
     thigh, shank = np.hypot(knee[0], knee[2]), np.hypot(leg.foot[0], leg.foot[2])
     thigh_lean, shank_lean = np.arctan2(-knee[0], -knee[2]), np.arctan2(-leg.foot[0], -leg.foot[2])
-    away = np.clip(np.hypot(x, down), 1e-6, MAX_STRETCH * (thigh + shank))
+    away = np.clip(np.hypot(x, down), 1e-6, TROT.max_stretch * (thigh + shank))
     # the knee keeps the side that it has at rest
     side_of_knee = np.sign(robot.rest[leg.columns[2]] + shank_lean - thigh_lean) or -1.0
     cosine = np.clip((away**2 - thigh**2 - shank**2) / (2 * thigh * shank), -1, 1)

@@ -101,7 +101,7 @@ class Urdf:
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
-    """Resting positions of joints that the file gives [rad or m], which URDF files cannot."""
+    """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:

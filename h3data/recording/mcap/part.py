@@ -11,7 +11,7 @@ from typing import IO
 from h3data.errors import InputError
 
 MOST_HELD = 1 << 20
-"""Number of bytes that may wait for a `Backlog.flush` where the disk takes them."""
+"""Number of bytes that may wait for a `Backlog.flush` while the disk accepts data."""
 
 
 def part_path(path: Path) -> Path:

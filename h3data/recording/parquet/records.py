@@ -59,7 +59,7 @@ class DatasetRecords:
         return read_whole(shard_path(self._root, f"h3/{kind}", shard))
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
-        """The records of a kind of each of some consecutive episodes of one shard.
+        """Return the records of one kind for each of several consecutive episodes of one shard.
 
         Raises:
             FormatError: they are damaged.

@@ -95,7 +95,8 @@ class DatasetSchema:
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
     episode_stats: bool = True
-    """True if the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
+    """True if the episode tables have LeRobot's statistics of every feature. Older datasets have only those of the
+    videos."""
 
     def to_json(self) -> bytes:
         """Contents of ``h3/schema.json``."""

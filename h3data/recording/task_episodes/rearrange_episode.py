@@ -78,8 +78,8 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Joint positions [rad or m] by link index, by handle of the articulated object, where they are not the default."""
     info: Mapping[str, Any] = msgspec.field(default_factory=dict)
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Every key of the file that we do not know, or that has an older form. The stock loader of habitat-lab refuses
-    episodes with keys that its class lacks, as it refuses the file they came from."""
+    """Keys of the file that we do not know, or that have an older form. The stock loader of habitat-lab refuses
+    episodes with keys that its class lacks, and refuses the original file too."""
     absent: frozenset[str] = frozenset()
     """Keys of Habitat that the file did not have (or that are in ``extra``); these fields are not written."""
 

@@ -27,7 +27,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     human_goals: tuple[tuple[float, float], ...]
     """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
     goals_within_m: float = 0.0
-    """Largest distance of a goal from the one that was truly walked to [m]; 0 = exact."""
+    """Largest distance between a goal and the place that the person truly walked to [m]; 0 = exact."""
     goals_complete: bool = True
     """True if the person needs no further goal in ``max_steps``; False where an episode ended early."""
     floor_y: float = 0.0

@@ -11,7 +11,8 @@ from h3data.kernels import kernel_part
 from h3data.render.shade.blockers import TILE_X, TILE_Y
 
 SEEN, LIT, SHADED = 1, 2, 4
-"""Bits of a mark: what is seen may differ from the picture before, only its light may, and: it is shaded."""
+"""Bits of a mark: what is visible may differ from the previous picture, only its light may differ, and the pixel has
+been shaded."""
 
 
 @kernel_part()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,14 +27,25 @@ log = logging.getLogger(__name__)
 
 BUILD_VERSION = 4
 """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
-ARC_SEGMENTS = 8
-"""Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
-SMOOTH_M = 1e-4
-"""Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
-ISLAND_MIN_M2 = 0.01
-"""Area below which patches of floor are rounding errors [m2]."""
-VOXEL_M = 0.025
-"""Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md 2.4)."""
+
+
+@dataclass(frozen=True)
+class BuildSpec:
+    """Resolutions of the free floor."""
+
+    arc_segments: int = 8
+    """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
+    smooth_m: float = 1e-4
+    """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
+    island_min_m2: float = 0.01
+    """Area below which patches of floor are rounding errors [m2]."""
+    voxel_m: float = 0.025
+    """Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md
+    2.4)."""
+
+
+BUILD = BuildSpec()
+
 
 Method = Literal["auto", "shapes", "mesh"]
 
@@ -140,8 +151,8 @@ def build_from_walkable(
     max_climb_m: float,
     cell_m: float,
     floor_y: float = 0.0,
-    smooth_m: float = SMOOTH_M,
-    island_min_m2: float = ISLAND_MIN_M2,
+    smooth_m: float = BUILD.smooth_m,
+    island_min_m2: float = BUILD.island_min_m2,
     key: str = "",
     heights: NDArray[np.float64] = LEVEL,
 ) -> FloorMap:
@@ -150,13 +161,13 @@ def build_from_walkable(
     Islands smaller than ``island_min_m2`` are left out, but for the largest.
     """
     # before it is inflated: each needless corner would become an arc of eight segments and as many nodes of the graph
-    walkable = MultiPolygon(polygon_parts(walkable.simplify(SMOOTH_M)))
+    walkable = MultiPolygon(polygon_parts(walkable.simplify(BUILD.smooth_m)))
     if walkable.is_empty:
         raise SceneError(
             "Nothing of the floor is free. Hint: check the rooms, and the height of the floor.", code="H3-SCENE-011"
         )
-    free = walkable.buffer(-radius_m, quad_segs=ARC_SEGMENTS).simplify(smooth_m)
-    islands = [p for p in polygon_parts(free) if p.area >= ISLAND_MIN_M2]
+    free = walkable.buffer(-radius_m, quad_segs=BUILD.arc_segments).simplify(smooth_m)
+    islands = [p for p in polygon_parts(free) if p.area >= BUILD.island_min_m2]
     # the largest stays whatever its size, as agents need some place
     islands = [p for k, p in enumerate(islands) if k == 0 or p.area >= island_min_m2]
     if not islands:
@@ -188,8 +199,8 @@ def without_stairs(floor: FloorMap) -> FloorMap:
     heights = floor.heights.copy()
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     heights[:, STEPS] = 0  # nobody sets a foot on them
-    free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=ARC_SEGMENTS))
-    polygon = MultiPolygon([p for p in polygon_parts(free.simplify(SMOOTH_M)) if p.area >= ISLAND_MIN_M2])
+    free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=BUILD.arc_segments))
+    polygon = MultiPolygon([p for p in polygon_parts(free.simplify(BUILD.smooth_m)) if p.area >= BUILD.island_min_m2])
     nx, nz = floor.sdf.shape
     # the distance to obstacles now counts the flights too; outside a ring it is negative, hence the sign
     outside = [
@@ -216,7 +227,7 @@ def walkable_from_triangles(
     climb_m: float,
     height_m: float,
     floor_y: float | None = None,
-    voxel_m: float = VOXEL_M,
+    voxel_m: float = BUILD.voxel_m,
 ) -> tuple[MultiPolygon, float]:
     """Floor polygons (x, z), not yet inflated, and the height of the floor [m], of world triangles [F, 3, 3].
 

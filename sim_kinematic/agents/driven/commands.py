@@ -98,7 +98,7 @@ class PersonCommand:
     head: tuple[float, float] | None = None
     """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
     do: Do | None = None
-    """A skill to begin. While it runs, nothing else of the command counts; the person first comes to a stand."""
+    """Skill to begin. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 
     @property
     def stands(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,18 +13,29 @@ from h3data.scene.floor_heights import floor_heights, room_heights
 from sim_kinematic.contact import MovingShapes, collide, contacts
 from sim_kinematic.contact.clearance import scenery_of
 
-SUNK_M = 0.01
-"""A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
-INSIDE_M = 0.025
-"""A thing may be this deep in what stands beside it: sampled goals keep to the surface that carries them, not out of its own
-edges (1 of 16 goals in small homes is 2.1 cm in one)."""
-UPRIGHT = 0.7
-"""A contact counts as one from the side where the vertical part of its normal is smaller."""
-SUPPORT_M = 0.05
-"""Largest distance of a thing from the surface below that carries it [m]."""
-APART_M = 0.01
-"""Least gap between the circles of two things that stand side by side, as in sampled episodes [m]."""
-FALL_STEP_M, FALL_HALVINGS = 0.02, 6
+
+@dataclass(frozen=True)
+class ObjectRoomSpec:
+    """Tolerances within which a thing can be put down."""
+
+    sunk_m: float = 0.01
+    """A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
+    inside_m: float = 0.025
+    """A thing may be this deep in what stands beside it: sampled goals keep to the surface that carries them, not out of
+    its own edges (1 of 16 goals in small homes is 2.1 cm in one)."""
+    upright: float = 0.7
+    """Vertical part of a contact's normal below which the contact is one from the side."""
+    support_m: float = 0.05
+    """Largest distance of a thing from the surface below that carries it [m]."""
+    apart_m: float = 0.01
+    """Least gap between the circles of two things that stand side by side, as in sampled episodes [m]."""
+    fall_step_m: float = 0.02
+    """Length of the steps in which the surface below a thing is sought [m]."""
+    fall_halvings: int = 6
+    """Number of halvings of the last of these steps."""
+
+
+ROOM = ObjectRoomSpec()
 
 
 class ObjectRoom:
@@ -49,17 +61,17 @@ class ObjectRoom:
         It is ``no_space`` or ``no_support``; empty if the object can be put down.
         """
         floor_y = self._floor_below(pose)
-        if pose[1] + self._extents[k][1] < floor_y - SUNK_M or self._is_inside(k, pose):
+        if pose[1] + self._extents[k][1] < floor_y - ROOM.sunk_m or self._is_inside(k, pose):
             return "no_space"
         things = [(poses[n, :3], self._extents[n]) for n in range(len(poses)) if n != k] + self._others
         radius, low, high = self._extents[k]
         for place, (other_radius, other_low, other_high) in things:
-            beside = np.hypot(*(pose[:3] - place)[[0, 2]]) > radius + other_radius + APART_M
+            beside = np.hypot(*(pose[:3] - place)[[0, 2]]) > radius + other_radius + ROOM.apart_m
             if not beside and pose[1] + low < place[1] + other_high and place[1] + other_low < pose[1] + high:
                 return "no_space"
-        on_floor = pose[1] + low - floor_y <= SUPPORT_M
+        on_floor = pose[1] + low - floor_y <= ROOM.support_m
         # lowered by this much, the object would touch what carries it
-        return "" if on_floor or self._collides(k, pose, -SUPPORT_M) else "no_support"
+        return "" if on_floor or self._collides(k, pose, -ROOM.support_m) else "no_support"
 
     def _floor_below(self, pose: Array) -> float:
         # objects lie on the treads of stairs, over which people's floor is a ramp
@@ -71,11 +83,11 @@ class ObjectRoom:
         down = 0.0
         if lowest >= 0 or self._collides(k, pose, 0.0):
             return pose.copy()
-        while down > lowest and not self._collides(k, pose, max(down - FALL_STEP_M, lowest)):
-            down = max(down - FALL_STEP_M, lowest)
-        step = min(FALL_STEP_M, down - lowest)
+        while down > lowest and not self._collides(k, pose, max(down - ROOM.fall_step_m, lowest)):
+            down = max(down - ROOM.fall_step_m, lowest)
+        step = min(ROOM.fall_step_m, down - lowest)
         # bisection of the last step: 2 cm / 2^6, or 0.3 mm
-        for _ in range(FALL_HALVINGS):
+        for _ in range(ROOM.fall_halvings):
             step /= 2
             if step and not self._collides(k, pose, down - step):
                 down -= step
@@ -86,8 +98,8 @@ class ObjectRoom:
     def _is_inside(self, k: int, pose: Array) -> bool:
         """Returns whether the object is in something static deeper than it may be."""
         # lifted, it touches only what is beside it; `contacts` takes the shapes where this test leaves them
-        return self._collides(k, pose, SUNK_M) and any(
-            contact.depth_m > INSIDE_M or abs(contact.normal[1]) > UPRIGHT
+        return self._collides(k, pose, ROOM.sunk_m) and any(
+            contact.depth_m > ROOM.inside_m or abs(contact.normal[1]) > ROOM.upright
             for contact in contacts(self._scenery, self._shapes[k])
         )
 

@@ -35,26 +35,35 @@ from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
 
-HAND_STEPS = 8
-"""An arm takes this many steps from its swing to its target, and back."""
-HAND_MPS = 4.0
-"""Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
-HEAD_RAD_S = 6.0
-"""Largest speed at which the head turns [rad/s]."""
-MEETING_M = 0.12
-"""A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
-DRAWS_IN_MPS = 0.4
-"""Speed at which the robot's hand closes around what it is given."""
-EYES_M = 1.4
-"""Height at which somebody looks ahead who is about to sit down."""
-SEAT_WITHIN_M = 3.0
-"""A person who is told to sit takes the nearest seat within this distance."""
+
+@dataclass(frozen=True)
+class DrivenPersonSpec:
+    """Limits of a person whom somebody drives."""
+
+    hand_steps: int = 8
+    """Number of steps in which an arm moves from its swing to its target, and back."""
+    hand_mps: float = 4.0
+    """Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
+    head_rad_s: float = 6.0
+    """Largest speed at which the head turns [rad/s]."""
+    meeting_m: float = 0.12
+    """Distance from the robot's hand at which a giving hand stops, as the object is between them [m]."""
+    draws_in_mps: float = 0.4
+    """Speed at which the robot's hand closes around what it is given."""
+    eyes_m: float = 1.4
+    """Height at which a person who is about to sit down looks ahead [m]."""
+    seat_within_m: float = 3.0
+    """A person who is told to sit takes the nearest seat within this distance."""
+
+
+DRIVEN = DrivenPersonSpec()
+
 _NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
-    """A person that follows `PersonCommand`s. Until the first of them, it does every skill exactly as a `PersonActor`."""
+    """Person that follows `PersonCommand`s. Until the first command, every skill is that of a `PersonActor`."""
 
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""
@@ -85,7 +94,7 @@ class DrivenPerson(PersonActor):
         return self.company is not None and self.company.solid
 
     def meets(self) -> bool:
-        """Returns whether the person touches somebody now, or is nearer to a solid one than they may come."""
+        """Return whether the person touches another agent now, or is nearer to a solid one than allowed."""
         return super().meets() or (self._is_solid and self.company.comes_too_near(self))  # type: ignore[union-attr]
 
     # --- what it can do -----------------------------------------------------------------------------------------------
@@ -109,7 +118,7 @@ class DrivenPerson(PersonActor):
         return super().infeasible(action)
 
     def refusal(self, action: Action) -> str:
-        """Reason why an action would fail if it began now, as far as can be told; empty: it would not."""
+        """Return the reason why an action would fail if it began now, as far as known; empty if it would succeed."""
         why = self.infeasible(action)
         if why or action.skill not in ("pick", "place") or action.command:
             return why
@@ -204,11 +213,11 @@ class DrivenPerson(PersonActor):
         return self._drives and bool(moves or self.seat is not None or self._shares.any() or self._head.any())
 
     def _nearest_seat(self) -> SeatPlace | None:
-        """The nearest seat that the person can use; None: there is none within `SEAT_WITHIN_M`."""
+        """The nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
         others = () if self.company is None else self.company.actors
         # only people who are driven have this field
         taken = [other.seat.stand for other in others if getattr(other, "seat", None) is not None]
-        return None if self.seats is None else self.seats.nearest(self.xz, SEAT_WITHIN_M, taken)
+        return None if self.seats is None else self.seats.nearest(self.xz, DRIVEN.seat_within_m, taken)
 
     def _sit(self) -> Skill:
         """Walks before the nearest seat, sits down and remains there; whatever is asked next gets up first."""
@@ -216,7 +225,7 @@ class DrivenPerson(PersonActor):
         if place is None:
             return SkillResult("failed", "no_seat")
         x, z, heading = place.before.tolist()
-        ahead = np.array([x + math.cos(heading), self.person.base[1] + EYES_M, z - math.sin(heading)])
+        ahead = np.array([x + math.cos(heading), self.person.base[1] + DRIVEN.eyes_m, z - math.sin(heading)])
         walked = yield from self._go_to(place.before, ahead)
         self.person.look_at = None
         if walked.outcome != "done":
@@ -293,7 +302,7 @@ class DrivenPerson(PersonActor):
                 apart = grip[:3].copy()
             elif given:
                 left = float(np.linalg.norm(grip[:3]))
-                grip[:3] = apart * (max(left - DRAWS_IN_MPS * STEP_S, 0.0) / float(np.linalg.norm(apart)))
+                grip[:3] = apart * (max(left - DRIVEN.draws_in_mps * STEP_S, 0.0) / float(np.linalg.norm(apart)))
                 self.objects.poses[k] = pose_multiply(robot.hand_pose, grip)
             if given:
                 self.person.objects[name] = self.objects.poses[k].copy()
@@ -304,7 +313,7 @@ class DrivenPerson(PersonActor):
         hand = robot.hand_pose[:3]
         towards = np.array([self.xz[0] - hand[0], 0.0, self.xz[1] - hand[2]])
         # no farther than the person, who may stand nearer than that
-        return hand + towards * (MEETING_M / max(float(np.linalg.norm(towards)), MEETING_M))
+        return hand + towards * (DRIVEN.meeting_m / max(float(np.linalg.norm(towards)), DRIVEN.meeting_m))
 
     def _upright(self, k: int, point: NDArray) -> Array:
         """pose7 of what is held, put down at a point as it stood when it was taken."""
@@ -341,7 +350,7 @@ class DrivenPerson(PersonActor):
     def _lead(self, command: PersonCommand) -> None:
         """Brings arms and head on by one step."""
         for k, target in enumerate((command.left, command.right)):
-            rate = 1 / HAND_STEPS
+            rate = 1 / DRIVEN.hand_steps
             tilts, hand = target is not None and target.rotation is not None, HANDS[k]
             self.person.tilts[hand] += min(max(float(tilts) - self.person.tilts[hand], -rate), rate)
             if target is None:
@@ -349,10 +358,10 @@ class DrivenPerson(PersonActor):
                 continue
             way = np.array(target.position) - self._points[k]
             # an arm that hangs has no point to come from: it takes the target and blends over to it
-            most = HAND_MPS * STEP_S / max(float(np.linalg.norm(way)), 1e-9) if self._shares[k] else 1.0
+            most = DRIVEN.hand_mps * STEP_S / max(float(np.linalg.norm(way)), 1e-9) if self._shares[k] else 1.0
             self._points[k] += min(most, 1.0) * way
             self._targets[k], self._shares[k] = target, min(self._shares[k] + rate, 1.0)
-        most = HEAD_RAD_S * STEP_S
+        most = DRIVEN.head_rad_s * STEP_S
         aim = np.zeros(2) if command.head is None else np.array(command.head)
         aim = np.clip(aim, (-HEAD_YAW_RAD, -HEAD_PITCH_RAD), (HEAD_YAW_RAD, HEAD_PITCH_RAD))
         self._head += np.clip(aim - self._head, -most, most)

@@ -23,19 +23,30 @@ from sim_kinematic.contact import FclScene, MovingShapes
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import NOBODY
 
-SWING_RAD_S, SLIDE_MPS = 1.2, 0.45
-"""Mean speed at which doors turn and drawers slide while somebody opens or closes them."""
-STEPS_LEAST = 12
-FRAMES = 8
-"""Number of positions of a moving part at which collisions are tested."""
-SAMPLES = 6
-"""Points along each edge of a part's boxes, as which it is seen from above."""
-SHRUNK_M = 0.008
-"""Distance at which parts may pass things beside them [m]."""
-PASSES_M = 0.03
-"""Agents are hit when their disc is this deep in a part."""
-TALL_M = 1.8
-"""Height over the floor above which a part passes over everybody's head [m]."""
+
+@dataclass(frozen=True)
+class OpeningSpec:
+    """Speeds of doors and drawers, and the sampling of their motion."""
+
+    swing_rad_s: float = 1.2
+    """Mean speed at which a door turns while it is opened or closed [rad/s]."""
+    slide_mps: float = 0.45
+    """Mean speed at which a drawer slides while it is opened or closed [m/s]."""
+    steps_least: int = 12
+    """Smallest number of steps that opening or closing takes."""
+    frames: int = 8
+    """Number of positions of a moving part at which collisions are tested."""
+    samples: int = 6
+    """Points along each edge of a part's boxes, as which it is seen from above."""
+    shrunk_m: float = 0.008
+    """Distance at which parts may pass things beside them [m]."""
+    passes_m: float = 0.03
+    """Depth of an agent's disc in a part from which on the agent counts as hit [m]."""
+    tall_m: float = 1.8
+    """Height over the floor above which a part passes over everybody's head [m]."""
+
+
+OPENING = OpeningSpec()
 
 
 @dataclass(eq=False)
@@ -140,8 +151,8 @@ class ArticulatedParts:
         """Return the positions [T] of a joint from now to its open or its closed end, one a step."""
         joint, start = self.joints.parts[k][1].joint, float(self.positions[k])
         end = joint.opened if opens else joint.closed
-        speed = SWING_RAD_S if joint.kind == "revolute" else SLIDE_MPS
-        steps = max(STEPS_LEAST, int(np.ceil(abs(end - start) / (speed * STEP_S))))
+        speed = OPENING.swing_rad_s if joint.kind == "revolute" else OPENING.slide_mps
+        steps = max(OPENING.steps_least, int(np.ceil(abs(end - start) / (speed * STEP_S))))
         u = np.arange(1, steps + 1) / steps
         way = start + smoothstep(u) * (end - start)
         # to the bit: a start plus a difference may miss it by rounding
@@ -184,18 +195,20 @@ class ArticulatedParts:
 
     # --- what is in the way ---------------------------------------------------------------------------------------------
     def points(self, k: int, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points [P, 3] all over what a joint moves, at positions [T] of it, up to `TALL_M`."""
+        """World points [P, 3] all over what a joint moves, at positions [T] of it, up to `OPENING.tall_m`."""
         positions = np.tile(self.positions, (len(way), 1))
         positions[:, k] = way
         motions = self.joints.motions(positions)
         out = [transform_points(motion, self._samples[j]) for j in self._carried(k) for motion in motions[:, j]]
         every = np.concatenate([np.zeros((0, 3)), *out]).astype(np.float64)
-        return every[every[:, 1] < floor_heights(self._heights, self.floor_y, every[:, ::2]) + TALL_M]
+        return every[every[:, 1] < floor_heights(self._heights, self.floor_y, every[:, ::2]) + OPENING.tall_m]
 
     @cached_property
     def _samples(self) -> list[NDArray[np.float64]]:
         """Points on the boxes around the shapes of each part, in the world with the joints at rest, [P, 3]."""
-        grid = np.array([p for p in product(np.linspace(0, 1, SAMPLES), repeat=3) if min(p) == 0 or max(p) == 1])
+        grid = np.array(
+            [p for p in product(np.linspace(0, 1, OPENING.samples), repeat=3) if min(p) == 0 or max(p) == 1]
+        )
         found = []
         for own in self._instances:
             points: list[Array] = [np.zeros((0, 3))]
@@ -208,7 +221,7 @@ class ArticulatedParts:
         return found
 
     def open_points(self) -> NDArray[np.float64]:
-        """Floor points [P, 2] over which parts stand that are not closed: nobody can stand there."""
+        """Return floor points [P, 2] below parts that are not closed, where agents cannot stand."""
         ajar = np.flatnonzero(self.joints.shares(self.positions) > 0.05)
         found = [self.points(int(k), self.positions[[k]])[:, [0, 2]] for k in ajar]
         return np.concatenate([np.zeros((0, 2)), *found])
@@ -225,7 +238,7 @@ class ArticulatedParts:
         """Name of the instance or object that blocks a joint; empty if there is none."""
         way = self.travel(k, opens=opens)
         # a short way has fewer steps than frames, and none is tested twice
-        frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
+        frames = way[np.unique(np.linspace(0, len(way) - 1, OPENING.frames).astype(int))]
         positions = np.tile(self.positions, (len(frames), 1))
         positions[:, k] = frames
         motions = self.joints.motions(positions)
@@ -282,14 +295,16 @@ def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_
 def _covered(points: Array, discs: Array) -> NDArray[np.bool_]:
     """Which points [P, 2] are in one of some discs ``(x, z, radius)`` [N, 3]."""
     gap = np.hypot(points[:, None, 0] - discs[:, 0], points[:, None, 1] - discs[:, 1])
-    return np.any(gap < np.maximum(discs[:, 2] - PASSES_M, 0.0), axis=1)
+    return np.any(gap < np.maximum(discs[:, 2] - OPENING.passes_m, 0.0), axis=1)
 
 
 def _shrunk(shape: Shape) -> Shape:
     if not isinstance(shape, Box):
         return shape
     # a thin panel keeps half of its thickness
-    return Box(pose=shape.pose, half_extents=np.maximum(shape.half_extents - SHRUNK_M, 0.5 * shape.half_extents))
+    return Box(
+        pose=shape.pose, half_extents=np.maximum(shape.half_extents - OPENING.shrunk_m, 0.5 * shape.half_extents)
+    )
 
 
 def _touched(shapes: MovingShapes, scenery: FclScene, transforms: Array) -> list[str]:

@@ -7,6 +7,7 @@ point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself t
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,17 +23,26 @@ from sim_kinematic.agents.robots.hand_reach import hand_target, is_beyond_reach,
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of, supports
 
-APPROACH_M = 0.1
-"""Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""
-LINE_RADIUS_M = 0.01
-FRAMES = 8
-"""Postures that are looked at between the resting one and the one over the point."""
-HELD_M = 0.05
-"""Radius of the ball that represents the object in the hand [m]."""
-WAYS_KEPT = 1000
-"""Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
-ANSWERS_KEPT = 10_000
-"""Answers that are remembered, 300 bytes each."""
+
+@dataclass(frozen=True)
+class ArmClearanceSpec:
+    """Constants of the test whether a robot's arm is clear of obstacles."""
+
+    approach_m: float = 0.1
+    """Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""
+    line_radius_m: float = 0.01
+    """Radius of the line along which the hand approaches [m]."""
+    frames: int = 8
+    """Postures that are looked at between the resting one and the one over the point."""
+    held_m: float = 0.05
+    """Radius of the ball that represents the object in the hand [m]."""
+    ways_kept: int = 1000
+    """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
+    answers_kept: int = 10_000
+    """Answers that are remembered, 300 bytes each."""
+
+
+CLEARANCE = ArmClearanceSpec()
 
 
 class _Part(NamedTuple):
@@ -43,7 +53,7 @@ class _Part(NamedTuple):
 
 
 class ArmClearance:
-    """Asks for one scene and one robot."""
+    """Test of the room that a reaching arm needs, for one scene and one robot."""
 
     def __init__(self, scene: Scene, robot: Robot, floor_y: float) -> None:
         self._scenery, self._robot = scenery_of(scene), robot
@@ -53,7 +63,7 @@ class ArmClearance:
         self._shoulder = np.asarray(rest[links[0], :3, 3], np.float64)
         at = np.asarray(robot.hand_position, np.float64)
         # a capsule of no length is a ball
-        held = Capsule(start=at, end=at, radius=HELD_M)
+        held = Capsule(start=at, end=at, radius=CLEARANCE.held_m)
         in_hand = [
             (k, shape) for k in links if k == hand or robot.links[k].parent == hand for shape in robot.links[k].shapes
         ]
@@ -74,7 +84,7 @@ class ArmClearance:
     def is_open(self, stand: Array, point: Array) -> bool:
         """Returns whether no obstacle lies between a robot's shoulder and a world point [3].
 
-        The robot stands at ``(x, z, heading)`` [3]. The line checked goes up or down to `APPROACH_M` above the point,
+        The robot stands at ``(x, z, heading)`` [3]. The line checked goes up or down to `CLEARANCE.approach_m` above the point,
         then level to it.
         """
         return _remembered(self._open, self._is_open, stand, point)
@@ -82,12 +92,12 @@ class ArmClearance:
     def _is_open(self, stand: Array, point: Array) -> bool:
         base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_at(stand)))
         shoulder = base[:3, :3] @ self._shoulder + base[:3, 3]
-        over = np.asarray(point, np.float64) + np.array([0.0, APPROACH_M, 0.0])
+        over = np.asarray(point, np.float64) + np.array([0.0, CLEARANCE.approach_m, 0.0])
         raised = np.array([shoulder[0], over[1], shoulder[2]])
         start, end = np.stack([shoulder, raised]), np.stack([raised, over])
-        if not self._scenery.is_near(start, end, LINE_RADIUS_M):
+        if not self._scenery.is_near(start, end, CLEARANCE.line_radius_m):
             return True
-        line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
+        line = MovingShapes(shapes_from_capsules(start, end, CLEARANCE.line_radius_m))
         frames = capsule_transforms(start, end)
         if self._drawers and (inside := self._drawer_of(point)):
             return not line.touches_along(self._scenery, frames[None], except_for=inside)
@@ -130,14 +140,14 @@ class ArmClearance:
         """
         seen = distance, height
         if seen not in self._ways:
-            if len(self._ways) >= WAYS_KEPT:
+            if len(self._ways) >= CLEARANCE.ways_kept:
                 self._ways.pop(next(iter(self._ways)))
             line = reach_line(self._robot, hand_target(self._robot, distance, height))
             self._ways[seen] = None if line is None else self._frames(*line)
         return self._ways[seen]
 
     def _frames(self, over: Array, at: Array) -> tuple[Array, Array]:
-        share = np.linspace(0.0, 1.0, FRAMES)[:, None]
+        share = np.linspace(0.0, 1.0, CLEARANCE.frames)[:, None]
         postures = np.vstack([self._robot.rest + share * (over - self._robot.rest), at])
         links = self._robot.link_matrices(np.tile(IDENTITY_POSE, (len(postures), 1)), postures)
         # the hand's last posture is left out: there it is in touch with what the object lies on
@@ -150,20 +160,23 @@ def _remembered(
     """The answer for a stand and a point, asked once: objects and their goals are gone to again and again."""
     asked = np.asarray(stand, np.float64).tobytes(), np.asarray(point, np.float64).tobytes()
     if asked not in answers:
-        if len(answers) >= ANSWERS_KEPT:
+        if len(answers) >= CLEARANCE.answers_kept:
             answers.clear()
         answers[asked] = ask(stand, point)
     return answers[asked]
 
 
 def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
-    """Joint positions `APPROACH_M` over a pose7 [7] of the hand in the agent root frame, and at it; None: it is not reached."""
+    """Return joint positions `CLEARANCE.approach_m` over a pose7 [7] of the hand in the agent root frame, and at it.
+
+    None: the arm does not reach it.
+    """
     if is_beyond_reach(robot, hand):
         return None
     at = reach_posture(robot, hand)
     if not at.reached:
         return None
-    raised = hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0])
+    raised = hand + np.array([0, CLEARANCE.approach_m, 0, 0, 0, 0, 0])
     # no restarts: from the posture at the target, so that the arm moves little between the two
     return reach_posture(robot, raised, at.joint_pos, restarts=0).joint_pos, at.joint_pos
 

@@ -7,7 +7,7 @@ out the yaw: what it holds turns about the vertical, and stands upright all the 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,26 +18,32 @@ from h3data.bodies import Robot, RobotLink, solve_ik
 from h3data.bodies.robots.kinematics import FIXED, SLIDES, TURNS
 from h3data.geometry import IDENTITY_POSE, Array, quat_from_matrix, quat_rotate
 
-HAND_PITCH_RAD = -0.6
-"""A robot's hand points this far below the horizon when it picks and places, always the same: so an object that was taken
-standing stands again where it is placed."""
-ALL_DIRECTIONS = 6
-"""Joints that an arm needs for a given position and orientation."""
-FREE_YAW_RAD = 0.7
-"""Largest angle by which the hand of an arm with fewer joints may turn from the reach direction; more would reach around
-things."""
-BEARINGS_RAD = (0.0, -np.pi / 2, np.pi / 2, np.pi)
-"""Directions in which an arm is tried: ahead, right, left, behind."""
-DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
-"""Distances from the robot's root at which things are reached for."""
-HEIGHTS_M = (0.45, 0.75, 0.95)
-"""Heights of tables and counters, by which the direction is chosen."""
+
+@dataclass(frozen=True)
+class HandReachSpec:
+    """Directions, distances and heights in which robots' hands are tried."""
+
+    hand_pitch_rad: float = -0.6
+    """A robot's hand points this far below the horizon when it picks and places, always the same: so an object that was taken
+    standing stands again where it is placed."""
+    all_directions: int = 6
+    """Joints that an arm needs for a given position and orientation."""
+    free_yaw_rad: float = 0.7
+    """Largest angle by which the hand of an arm with fewer joints may turn from the reach direction; more would reach around
+    things."""
+    bearings_rad: tuple[float, ...] = (0.0, -np.pi / 2, np.pi / 2, np.pi)
+    """Directions in which an arm is tried: ahead, right, left, behind."""
+    distances_m: tuple[float, ...] = tuple(0.45 + 0.05 * k for k in range(15))
+    """Distances from the robot's root at which things are reached for."""
+    heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
+    """Heights of tables and counters, by which the direction is chosen."""
+    aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
+    """Directions, from that in which a robot reaches, in which it takes handles where its base cannot turn to face them."""
+    reach_slack_m: float = 0.01
+    """Distance by which a hand may be off its target, far above the tolerances of the search [m]."""
 
 
-ASIDE_RAD = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
-"""Directions, from that in which a robot reaches, in which it takes handles where its base cannot turn to face them."""
-REACH_SLACK_M = 0.01
-"""Distance by which a hand may be off its target, far above the tolerances of the search [m]."""
+HAND_REACH = HandReachSpec()
 
 
 class ReachPostures(NamedTuple):
@@ -51,7 +57,7 @@ class ReachPostures(NamedTuple):
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
     """Finds postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
-    if len(robot.require_arm()) >= ALL_DIRECTIONS:
+    if len(robot.require_arm()) >= HAND_REACH.all_directions:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
         return ReachPostures(answer.joint_pos, answer.reached)
     free = _with_free_yaw(robot)
@@ -91,17 +97,23 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
         chain.append(robot.links[chain[-1]].parent)
     moving = [link for link in chain if robot.kinds[link] != FIXED]
     shoulder = moving[-1]
-    wrist, length = -np.asarray(robot.hand_position, np.float64), REACH_SLACK_M
+    wrist, length = -np.asarray(robot.hand_position, np.float64), HAND_REACH.reach_slack_m
     for link in chain[: chain.index(shoulder) + 1]:
         origin = robot.origins[link]
         # distances are measured from the origin of the first joint, which adds nothing
         offset = np.linalg.norm(origin[:3, 3]) if link != shoulder else 0.0
-        if link == robot.hand_link and len(robot.require_arm()) >= ALL_DIRECTIONS and robot.kinds[link] == TURNS:
+        if (
+            link == robot.hand_link
+            and len(robot.require_arm()) >= HAND_REACH.all_directions
+            and robot.kinds[link] == TURNS
+        ):
             local = origin[:3, :3].T @ origin[:3, 3]
             if np.abs(np.cross(local, robot.axes[link])).max() < 1e-9:  # a roll: it turns the hand, and moves no joint
                 wrist, offset = wrist - local, 0.0
         length += offset + _travel(robot, link)
-    if len(robot.require_arm()) < ALL_DIRECTIONS:  # the yaw is free: only the point at which the hand holds is known
+    if (
+        len(robot.require_arm()) < HAND_REACH.all_directions
+    ):  # the yaw is free: only the point at which the hand holds is known
         length, wrist = length + float(np.linalg.norm(wrist)), np.zeros(3)
     rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
     length += _travel(robot, shoulder)  # a first joint that slides has moved already in the resting posture
@@ -119,7 +131,7 @@ def _travel(robot: Robot, link: int) -> float:
 
 def hand_turn(robot: Robot) -> Array:
     """Returns the rotation (quaternion) of the hand's link in the agent root frame for what lies in its reach direction."""
-    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     # columns are the axes of the hand, ahead, left and up, in the agent root frame
     level = np.stack([ahead, np.cross(up, ahead), up], axis=1)
@@ -129,23 +141,24 @@ def hand_turn(robot: Robot) -> Array:
 def reach_bearing(robot: Robot) -> float:
     """Direction in which a robot reaches for things [rad], to the left of its forward axis.
 
-    It is the robot's own setting, otherwise the first of `BEARINGS_RAD` in which the arm reaches anything, otherwise 0.
+    It is the robot's own setting, otherwise the first of `HAND_REACH.bearings_rad` in which the arm reaches anything,
+    otherwise 0.
     """
     return _found_bearing(robot) if robot.reach_bearing is None else robot.reach_bearing
 
 
 @lru_cache(maxsize=32)
 def _found_bearing(robot: Robot) -> float:
-    for bearing in BEARINGS_RAD:
+    for bearing in HAND_REACH.bearings_rad:
         aimed = replace(robot, reach_bearing=bearing)
-        if any(len(reach_distances(aimed, height)) for height in HEIGHTS_M):
+        if any(len(reach_distances(aimed, height)) for height in HAND_REACH.heights_m):
             return bearing
     return 0.0
 
 
 @lru_cache(maxsize=256)
 def aimed(robot: Robot, aside_rad: float) -> Robot:
-    """The robot, reaching so far to the left of where it does."""
+    """Return the robot with its reach direction turned to the left by an angle [rad]."""
     return replace(robot, reach_bearing=reach_bearing(robot) + aside_rad) if aside_rad else robot
 
 
@@ -156,7 +169,7 @@ def reach_distances(robot: Robot, height_m: float) -> Array:
     They lie along the robot's reach direction. A distance counts only if both its neighbours are reachable too, since a
     base does not stand to the millimetre. Results are cached, as objects lie on few different heights.
     """
-    distances = np.array(DISTANCES_M)
+    distances = np.array(HAND_REACH.distances_m)
     targets = np.stack([hand_target(robot, d, height_m) for d in distances])
     reached = reach_posture(robot, targets).reached
     return distances[1:-1][reached[1:-1] & reached[:-2] & reached[2:]]
@@ -180,7 +193,7 @@ def _turned_left(angle: float) -> NDArray[np.float64]:
 @lru_cache(maxsize=32)
 def _with_free_yaw(robot: Robot) -> Robot:
     """A robot whose hand turns freely about what is vertical when it picks, through where it holds things: one more joint."""
-    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     # of a hand that is pitched by p, up is sin p times ahead plus cos p times its own up
     vertical = robot.hand_axes @ np.array([s, 0.0, c])
     origin = np.eye(4)
@@ -193,8 +206,8 @@ def _with_free_yaw(robot: Robot) -> Robot:
         links=(*robot.links, wrist),
         joint_names=(*robot.joint_names, "free_yaw"),
         rest=np.append(robot.rest, 0.0),
-        lower=np.append(robot.lower, -FREE_YAW_RAD),
-        upper=np.append(robot.upper, FREE_YAW_RAD),
+        lower=np.append(robot.lower, -HAND_REACH.free_yaw_rad),
+        upper=np.append(robot.upper, HAND_REACH.free_yaw_rad),
         joint_links=np.append(robot.joint_links, len(robot.links)),
         hand_link=len(robot.links),
         hand_position=np.zeros(3),

@@ -19,7 +19,7 @@ from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_pat
 from sim_kinematic.agents.robots.arm_clearance import reach_line
 from sim_kinematic.agents.robots.driving import RobotDriver
 from sim_kinematic.agents.robots.hand_reach import (
-    ASIDE_RAD,
+    HAND_REACH,
     aimed,
     hand_turn,
     is_beyond_reach,
@@ -28,13 +28,7 @@ from sim_kinematic.agents.robots.hand_reach import (
     reach_posture,
 )
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, LearnedSkill, Skill, SkillResult
-from sim_kinematic.agents.stands import (
-    CROWDED_M,
-    handle_stands,
-    island_of,
-    nearest_stand,
-    robot_stands,
-)
+from sim_kinematic.agents.stands import STANDS, handle_stands, island_of, nearest_stand, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import is_crowded
 from sim_kinematic.avoidance.yielding import avoided, shut_off
@@ -49,7 +43,8 @@ TRIED, TURN_M_RAD = 24, 1.0
 LOOK_M = 0.5
 """So near to the floor before a place a robot looks at it [m]."""
 ARM_OUT_M = 0.05
-"""A base stands while the hand is farther from its middle than this beyond the folded arm's."""
+"""A base does not drive while the hand is farther from its middle than the hand of the folded arm by more than this
+[m]."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
@@ -261,7 +256,7 @@ class RobotActor(RobotDriver):
         Stands close to other agents cost more. Returns -1 if the robot can reach none.
         """
         lengths = self.free.geodesic(np.broadcast_to(self.xz, (len(stands), 2)), stands[:, :2])
-        crowded = CROWDED_M * self._crowded(stands) if len(stands) else lengths
+        crowded = STANDS.crowded_m * self._crowded(stands) if len(stands) else lengths
         order = np.argsort(lengths + crowded, kind="stable")
         best, least = -1, np.inf
         for n in order[np.isfinite(lengths[order])][:TRIED].tolist():
@@ -394,7 +389,7 @@ class RobotActor(RobotDriver):
 
     def _hold(self, handle: NDArray) -> tuple[Robot, Array] | None:
         """Returns the reach and posture with which it takes a handle at a world point [3]; None if it cannot from here."""
-        for aside in ASIDE_RAD:
+        for aside in HAND_REACH.aside_rad:
             robot = aimed(self.robot, aside)
             posture = self._posture(self._hand_at(handle, robot))
             if posture is not None:

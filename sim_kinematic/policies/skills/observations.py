@@ -30,7 +30,7 @@ class SkillView(NamedTuple):
     point: Array
     """Point at which the object lies or is to go, [3] [m]."""
     stand_xz: Array
-    """A place from which the hand reaches that, [2] [m]."""
+    """Place from which the hand reaches the target, [2] [m]."""
     hand: Array
     """Pose (pose7) of the hand in the world."""
     resting: Array

@@ -10,8 +10,8 @@ from h3data.geometry import pose_to_matrix
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import Box, instance_matrix
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, ArmClearance, arm_clearance
-from sim_kinematic.agents.robots.hand_reach import DISTANCES_M
+from sim_kinematic.agents.robots.arm_clearance import CLEARANCE, ArmClearance, arm_clearance
+from sim_kinematic.agents.robots.hand_reach import HAND_REACH
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Objects
 from sim_kinematic.agents.stands import robot_stands
@@ -36,7 +36,7 @@ def behind_walls(free: FreeSpace, way: ArmClearance, height: float) -> tuple[np.
     rng = np.random.default_rng(0)
     while True:
         stand = np.append(free.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi))
-        distance = DISTANCES_M[6]
+        distance = HAND_REACH.distances_m[6]
         xz = stand[:2] + distance * np.array([np.cos(stand[2]), -np.sin(stand[2])])
         point = np.array([xz[0], free.floor_y + height, xz[1]])
         if (
@@ -71,7 +71,9 @@ def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, w
         point = np.array([place[0] + c * ahead, free.floor_y + height, place[1] - s * ahead])
         from_x = 0.292  # the shoulder of quad_arm
         level = np.linspace(from_x, ahead, 400)
-        line = np.stack([place[0] + c * level, np.full(400, point[1] + APPROACH_M), place[1] - s * level], axis=1)
+        line = np.stack(
+            [place[0] + c * level, np.full(400, point[1] + CLEARANCE.approach_m), place[1] - s * level], axis=1
+        )
         column = np.tile(line[0], (400, 1))
         column[:, 1] = np.linspace(free.floor_y + 0.608, line[0, 1], 400)
         samples = np.vstack([line, column])

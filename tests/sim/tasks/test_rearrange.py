@@ -17,7 +17,7 @@ from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
 from h3data.scene import FreeSpace, Scene, instance_matrix
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.agents.robots.hand_reach import HAND_PITCH_RAD, hand_turn
+from sim_kinematic.agents.robots.hand_reach import HAND_REACH, hand_turn
 from sim_kinematic.agents.skills import SKILLS, Action
 from sim_kinematic.agents.stands import person_stands, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
@@ -116,7 +116,7 @@ def test_stands_reach(world: RearrangeEpisode) -> None:
             goal = np.append(seen[:3], hand_turn(world.robot))
             assert solve_ik(world.robot, "arm_hand", goal, offset=world.robot.hand_position).reached
     ahead = quat_rotate(hand_turn(world.robot), np.array([1.0, 0, 0]))
-    assert np.arcsin(ahead[1]) == pytest.approx(HAND_PITCH_RAD)
+    assert np.arcsin(ahead[1]) == pytest.approx(HAND_REACH.hand_pitch_rad)
 
 
 def test_what_cannot_be_drawn_says_why(home: Scene, free: FreeSpace) -> None:
