@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from h3data.geometry import transform_points
+from h3data.geometry import add_up, transform_points
 from h3data.scene.records import Scene, instance_matrix
 from h3data_homes.furnishing.furniture import HEAD_BAND
 from h3data_homes.furnishing.place import CRUMB_M2, WALK_RADIUS, pockets, reach_m, used_from_front
@@ -71,7 +71,7 @@ def faults(scene: Scene) -> list[str]:
         return ["there is no room to stand anywhere"]
     main = max(parts, key=lambda part: part.area)
     problems = []
-    total = sum(part.area for part in parts)
+    total = add_up(part.area for part in parts)
     if total - main.area > CRUMB_M2:
         problems.append(f"{total - main.area:.3f} m2 of walkable floor are cut off")
     for room in scene.rooms:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from h3data.errors import SceneError
+from h3data.geometry import add_up
 from h3data_homes.spec import HomePreset, HomeSpec, stage_rng
 
 CORRIDOR_WIDTH = (1.3, 1.42)
@@ -263,7 +264,7 @@ def _best_of(rng: np.random.Generator, program: HomePreset, shape: str) -> Zonin
             raw_tiles = with_balcony(rng, raw_tiles, width, depth)
         tiles = tuple((kind, rounded(rect)) for kind, rect in raw_tiles)
         penalty = size_penalty(tiles, _LIMITS if program.generation == 1 else _LIMITS_2, roomy) + _touch_penalty(tiles)
-        penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
+        penalty += 50 * max(0.0, abs(add_up(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
         if best is None or penalty < best[0]:
             plan = Zoning(width=width, depth=depth, tiles=tiles, notches=tuple(rounded(n) for n in notches))
             best = (penalty, plan)

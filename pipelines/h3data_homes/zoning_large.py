@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.errors import SceneError
+from h3data.geometry import add_up
 from h3data_homes.spec import HomePreset, HomeSpec, stage_rng
 from h3data_homes.zoning import (
     NOTCH_SHARE,
@@ -100,7 +101,7 @@ class _Cell:
 
     @cached_property
     def area(self) -> float:
-        return sum(self.areas)
+        return add_up(self.areas)
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def _fill_cell(rng: np.random.Generator, zone: _Zone, cell: _Cell) -> list[Tile]
     first, *rest = cell.rooms
     if not rest:
         return [(first, zone.rect)]
-    front, back = _cut_in_two(rng, zone, sum(cell.areas[1:]) / cell.area)
+    front, back = _cut_in_two(rng, zone, add_up(cell.areas[1:]) / cell.area)
     tiles: list[Tile] = [(first, front)]
     if len(rest) == 1:
         return [*tiles, (rest[0], back)]
@@ -173,7 +174,7 @@ _Unit = _Cell | tuple["_Cell", ...]
 
 def _unit_area(unit: _Unit) -> float:
     """Area of a unit [m2]; a branch corridor takes about 17% of its cells' area in addition."""
-    return unit.area if isinstance(unit, _Cell) else 1.17 * sum(c.area for c in unit)
+    return unit.area if isinstance(unit, _Cell) else 1.17 * add_up(c.area for c in unit)
 
 
 def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> list[Tile]:
@@ -194,11 +195,11 @@ def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) 
     order = [cells[i] for i in rng.permutation(len(cells)).tolist()]
     halves: tuple[list[_Cell], list[_Cell]] = ([], [])
     for cell in sorted(order, key=lambda c: -c.area):
-        min(halves, key=lambda half: sum(c.area for c in half)).append(cell)
+        min(halves, key=lambda half: add_up(c.area for c in half)).append(cell)
     left, right = (half if rng.random() < 0.5 else half[::-1] for half in halves)
     corridor = float(rng.uniform(*_BRANCH))
-    weights = [sum(c.area for c in half) for half in (left, right)]
-    cut = (length - corridor) * weights[0] / sum(weights)
+    weights = [add_up(c.area for c in half) for half in (left, right)]
+    cut = (length - corridor) * weights[0] / add_up(weights)
     sides = (3, 1) if zone.side % 2 == 0 else (2, 0)
     tiles: list[Tile] = [("hall", zone.part(cut, 0, cut + corridor, depth))]
     for half, span, side in ((left, (0.0, cut), sides[0]), (right, (cut + corridor, length), sides[1])):
@@ -218,7 +219,7 @@ def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
     private += [_Cell(("bathroom",))] * (program.bathrooms - suites)
     service = ("pantry", "laundry") if program.area_m2 > _SERVICE_FROM_M2 else ()
     public = [_Cell(("living",)), _Cell(("kitchen", *service))]
-    used = sum(c.area for c in (*private, *public)) + sum(_AREA[r] for r in rooms)
+    used = add_up(c.area for c in (*private, *public)) + add_up(_AREA[r] for r in rooms)
     needed = {room: rooms.count(room) for room in set(rooms)}
     for room in _FILL:
         if needed.get(room, 0):
@@ -244,7 +245,9 @@ def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
     single += [] if service else [r for r in program.extra if r == "laundry"]
     share = min(max((program.area_m2 - _SIZES[0]) / (_SIZES[1] - _SIZES[0]), 0.0), 1.0)
     desired = {kind: low + share * (high - low) for kind, (low, high) in _AREA_2.items()}
-    used = sum(desired[r] for r in ("living", "kitchen", *service, *single, *rooms, *["bedroom", "bathroom"] * suites))
+    used = add_up(
+        desired[r] for r in ("living", "kitchen", *service, *single, *rooms, *["bedroom", "bathroom"] * suites)
+    )
     missing = list(rooms)
     for room in _FILL_2:
         if room in missing:
@@ -268,10 +271,10 @@ def _grouped(
     small = [c for c in cells if c not in deep]
     if not small:
         return list(deep)
-    count = max(1, round(sum(c.area for c in small) * scale / (depth * rng.uniform(*wide))))
+    count = max(1, round(add_up(c.area for c in small) * scale / (depth * rng.uniform(*wide))))
     groups: list[list[_Cell]] = [[] for _ in range(count)]
     for i in rng.permutation(len(small)).tolist():
-        min(groups, key=lambda g: sum(c.area for c in g)).append(small[i])
+        min(groups, key=lambda g: add_up(c.area for c in g)).append(small[i])
     return [*deep, *(g[0] if len(g) == 1 else tuple(g) for g in groups if g)]
 
 
@@ -287,7 +290,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     width = round(float(np.sqrt(program.area_m2 / (1 - share) * rng.uniform(1.25, 1.8))), 2)
     short = 1.0 if shape == "rectangle" else float(rng.uniform(0.42, 0.66))
     # The row above the gallery may be shorter than the one below; each cell goes where more area is left.
-    total = sum(c.area for c in (*public, *others))
+    total = add_up(c.area for c in (*public, *others))
     scale = 0.93 * (program.area_m2 - width * corridor) / total
     depth = (program.area_m2 / (1 - share) / width - corridor) / 2
     rows: list[list[_Cell]] = [[], []]
@@ -295,7 +298,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     home = int(rng.random() < (0.8 if short < 1 else 0.5))
     rows[home] += public
     for i in sorted(rng.permutation(len(others)).tolist(), key=lambda i: -others[i].area + rng.uniform(0, 12)):
-        free = [capacity[k] - sum(c.area for c in rows[k]) for k in (0, 1)]
+        free = [capacity[k] - add_up(c.area for c in rows[k]) for k in (0, 1)]
         rows[int(free[1] > free[0])].append(others[i])
     units: list[list[_Unit]] = []
     for k in (0, 1):
@@ -308,7 +311,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     if not all(units):
         return 1e9, Zoning(width=width, depth=1.0, tiles=())
     lengths = np.array([short * width, width])
-    areas = np.array([sum(_unit_area(u) for u in row) for row in units])
+    areas = np.array([add_up(_unit_area(u) for u in row) for row in units])
     depths = areas / areas.sum() * (program.area_m2 - width * corridor) / lengths
     upper, lower = (round(float(d), 2) for d in depths)
     whole = round(upper + corridor + lower, 2)
@@ -317,7 +320,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
         start = round(width * (1 - short) * (rng.uniform(0.3, 0.7) if shape == "T" else float(rng.integers(2))), 2)
     end = round(start + short * width, 2) if start + short * width < width - 0.02 else width
     notches = [(a, round(lower + corridor, 2), b, whole) for a, b in ((0.0, start), (end, width)) if b - a > 0.005]
-    missing = sum(rect_area(n) for n in notches) / (width * whole)
+    missing = add_up(rect_area(n) for n in notches) / (width * whole)
     if shape != "rectangle" and not NOTCH_SHARE[0] <= missing <= NOTCH_SHARE[1]:
         return 1e9, Zoning(width=width, depth=whole, tiles=())
     tiles = _gallery(rng, (0.0, lower, width, round(lower + corridor, 2)))
@@ -330,7 +333,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     if program.generation > 1:  # behind a balcony
         limits["living"] = (3.5, *limits["living"][1:])
     penalty = size_penalty(tiles, limits, max(1.0, scale / 1.35))
-    penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
+    penalty += 50 * max(0.0, abs(add_up(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
     penalty += 30 * max(0.0, whole / width - 1.1, width / whole - 2.3)
     return penalty, Zoning(width=width, depth=whole, tiles=tuple(tiles), notches=tuple(notches))
 

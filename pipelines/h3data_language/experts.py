@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 
+from h3data.geometry import add_up
 from h3data.policies import Action, Message, RearrangeView
 from h3data_language.episode import DETOUR, Errand
 from h3data_language.evaluation.records import STATES, Evaluation
@@ -170,7 +171,7 @@ class Plan:
                 if any(self.errands[n].handle and self.kinds[a] != "human" for a, part in parts for n in part):
                     continue
                 cost = max(self._duration(view, a, part) for a, part in parts)
-                total = sum(self._duration(view, a, part) for a, part in parts)
+                total = add_up(self._duration(view, a, part) for a, part in parts)
                 if cost + 0.01 * total < best:
                     best, chosen = cost + 0.01 * total, order[0]
         alone = self._duration(view, partners[0], tuple(left)) if self.kinds[partners[0]] == "human" else np.inf

@@ -24,6 +24,7 @@ from h3data.bodies.people.look.colors import Color, Complexion
 from h3data.bodies.people.look.dressing import Look, read_look
 from h3data.bodies.people.look.wardrobe import OUTFITS
 from h3data.builtin import builtin_path
+from h3data.geometry import add_up
 
 PREFIX = "random:"
 SHAPE_SPACE = "bodies/shape_space.toml"
@@ -110,7 +111,7 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
     mixed["base_delta"] = to_planes(np.rint(shape).astype(np.int16))
     # weights may be negative, so that a sum of shares may lie outside 0..1
     traits = {
-        key: min(max(sum(w * p[key] for w, p in zip(weights, phenotypes, strict=True)), 0.0), 1.0)
+        key: min(max(add_up(w * p[key] for w, p in zip(weights, phenotypes, strict=True)), 0.0), 1.0)
         for key in phenotypes[0]
     }
     mixed["phenotype"] = np.array(json.dumps(traits))
@@ -128,12 +129,12 @@ def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequenc
     while True:
         steps = rng.standard_normal(len(directions)).tolist()
         weights = [
-            1 / len(ages) + sum(step * row[k] for step, row in zip(steps, directions, strict=True))
+            1 / len(ages) + add_up(step * row[k] for step, row in zip(steps, directions, strict=True))
             for k in range(len(ages))
         ]
-        age, height = (sum(w * v for w, v in zip(weights, of, strict=True)) for of in (ages, heights_m))
+        age, height = (add_up(w * v for w, v in zip(weights, of, strict=True)) for of in (ages, heights_m))
         of_adult = ADULT_AGE[0] <= age <= ADULT_AGE[1] and ADULT_HEIGHT_M[0] <= height <= ADULT_HEIGHT_M[1]
-        if of_adult and sum(map(abs, weights)) <= LARGEST_SUM:
+        if of_adult and add_up(map(abs, weights)) <= LARGEST_SUM:
             return weights
 
 

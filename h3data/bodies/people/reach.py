@@ -25,6 +25,7 @@ from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import (
     Array,
+    add_up,
     ground_pose,
     pose_multiply,
     quat_conjugate,
@@ -328,7 +329,7 @@ def _points(targets: ArrayLike) -> Array:
 def _shoulder(body: Humanoid) -> float:
     """Height of the shoulders in the zero pose [m]."""
     chain = ("pelvis", "spine1", "spine2", "spine3", "right_collar", "right_shoulder")
-    return float(sum(body.joint_offsets[JOINT_INDEX[name], 1] for name in chain))
+    return float(add_up(body.joint_offsets[JOINT_INDEX[name], 1] for name in chain))
 
 
 def reach_body(body: Humanoid, hand: Hand) -> ReachBody:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from h3data.errors import SceneError
+from h3data.geometry import add_up
 from h3data_homes.furnishing import furniture_bed as sleeping
 from h3data_homes.furnishing import furniture_kitchen as kitchen
 from h3data_homes.furnishing import furniture_living as living
@@ -64,7 +65,7 @@ def need(group: list[Placed] | None, what: str, state: RoomState) -> list[Placed
 
 def in_a_row(pieces: Sequence[Furniture]) -> list[Member]:
     """Pieces side by side along a wall, without gaps."""
-    width = sum(p.size[0] for p in pieces)
+    width = add_up(p.size[0] for p in pieces)
     members, x = [], -width / 2
     for p in pieces:
         members.append(backed(p, x + p.size[0] / 2))

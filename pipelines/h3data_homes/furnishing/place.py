@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from h3data.geometry import add_up
 from h3data_homes.furnishing.furniture import Furniture
 from h3data_homes.layout import Layout, Opening, RoomPlan
 from h3data_homes.zoning import Rect
@@ -329,7 +330,7 @@ def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
     if not len(parts):
         return False
     main = max(parts, key=lambda part: part.area)
-    if sum(part.area for part in parts) - main.area > CRUMB_M2:
+    if add_up(part.area for part in parts) - main.area > CRUMB_M2:
         return False
     for side, o in state.doors:
         x, z = wall_point(state.interior, side, sum(o.span) / 2)
