@@ -31,7 +31,9 @@ from sim_kinematic.sensing.table import FOLLOWER, TABLE, Pose
 PREFIX = "weights:"
 SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
     "social_nav": {name: f"policies/{name}.npz" for name in ("end_to_end", "end_to_end_paper")},
-    "rearrange": {name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "learn_pop")},
+    "rearrange": {
+        name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "plan_pop_3_pixels", "learn_pop")
+    },
 }
 """Trained robots that come with the package, by task and name (h3data docs training, h3data docs populations)."""
 SHIPPED_PARTNERS: Mapping[str, str] = {

@@ -42,8 +42,8 @@ ROBOT_POLICIES = TaskNotes(
     {
         "social_nav": "rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, "
         "end_to_end_paper, random, stand_still or weights:FILE.",
-        "rearrange": "complement, greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot and "
-        "learn_pop.",
+        "rearrange": "complement, greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot, "
+        "plan_pop_3_pixels and learn_pop.",
     }
 )
 PARTNERS = TaskNotes(

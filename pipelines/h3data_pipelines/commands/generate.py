@@ -81,8 +81,8 @@ ROBOT_POLICIES = TaskNotes(
     {
         "social_nav": "rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk), "
         "learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still.",
-        "rearrange": "complement (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot and "
-        "learn_pop (h3data docs populations), or solo (there is no robot).",
+        "rearrange": "complement (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot, "
+        "plan_pop_3_pixels and learn_pop (h3data docs populations), or solo (there is no robot).",
         "wander": "wander (default) or still.",
     }
 )
