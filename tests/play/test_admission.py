@@ -413,7 +413,7 @@ def test_games_whose_players_have_left_take_no_capacity():
     here.period, here._reported = 0.1, -REPORT_S
     here.games = {}
     for key, present, ago in (("plays", True, 0.0), ("away", False, LEFT_S / 2), ("left", False, 2 * LEFT_S)):
-        running = Running(key, SimpleNamespace(drivers={0: None}))  # type: ignore[arg-type]
+        running = Running(key, SimpleNamespace(drivers={0: None}, ended=""))  # type: ignore[arg-type]
         running.here, running.stepped = {0} if present else set(), time.monotonic() - ago
         running.latest_s.append(0.004)
         here.games[key] = running

@@ -177,6 +177,6 @@ class LanguageAttach:
 
 
 LANGUAGE = Group(
-    "Tasks in words: their templates, whether tasks can be done, and propositions for sessions of PARTNR's tool.",
+    "Tasks in words: list templates, verify tasks, attach propositions.",
     {"templates": LanguageTemplates, "verify": LanguageVerify, "attach": LanguageAttach},
 )
