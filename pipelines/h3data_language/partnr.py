@@ -30,6 +30,7 @@ from h3data_language.evaluation.records import (
     CONSTRAINTS,
     DEPENDENCIES,
     PROPOSITIONS,
+    THEIR_STATES,
     Evaluation,
     Proposition,
 )
@@ -113,8 +114,8 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
         raise FormatError(
             f"Episode {entry.episode_id!r}: object_states: {str(fault).replace('`', '')}", code="H3-LANGUAGE-032"
         ) from None
-    names = (("clean", "is_clean"), ("filled", "is_filled"), ("powered", "is_powered_on"))
-    return {state: [states.get(name, {}).get(thing, False) for thing in things] for state, name in names}
+    of = {state: states.get(name, {}) for state, name in THEIR_STATES.items()}
+    return {state: [flags.get(thing, False) for thing in things] for state, flags in of.items()}
 
 
 def kind_of(propositions: Sequence[Proposition], extra: Mapping[str, Any]) -> Kind:

@@ -19,7 +19,7 @@ from h3data.scene.open import open_free_space, open_scene
 from h3data_language.evaluation.engine import STATE_COLUMNS
 from h3data_language.evaluation.layout import LAYOUT, Layout, ThingBox
 from h3data_language.evaluation.predicates import check_names
-from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
+from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, THEIR_STATES, Evaluation
 from h3data_language.partnr import states_of
 
 _RADIUS_M, _HEIGHT_M = 0.25, 1.4
@@ -93,10 +93,8 @@ def with_propositions(
 def _states(recording: Recording, entry: FileEntry, names: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
     """Columns of states: as logged (1, 0, -1 = unknown), else as at the start of the episode."""
     found = {}
-    for (state, flags), theirs in zip(
-        states_of(entry, names).items(), ("is_clean", "is_filled", "is_powered_on"), strict=True
-    ):
-        logged = recording.columns.get(f"object_state.{theirs}")
+    for state, flags in states_of(entry, names).items():
+        logged = recording.columns.get(f"object_state.{THEIR_STATES[state]}")
         start = np.tile(np.array(flags, np.bool_), (len(recording), 1))
         found[STATE_COLUMNS[state]] = start if logged is None else np.where(logged < 0, start, logged == 1)
     return found

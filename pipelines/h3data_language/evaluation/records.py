@@ -29,6 +29,8 @@ STATES = {
     "is_powered_off": ("powered", False),
 }
 """Name and value of the state that each proposition about states asks for."""
+THEIR_STATES = {state: name for name, (state, value) in STATES.items() if value}
+"""Name of each state in PARTNR's files and logs."""
 ARGUMENTS: dict[str, tuple[str, ...]] = {
     "is_on_top": ("object_handles", "receptacle_handles"),
     "is_inside": ("object_handles", "receptacle_handles"),

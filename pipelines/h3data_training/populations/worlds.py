@@ -159,10 +159,9 @@ class _Worlds:
         self._step.zero_()
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
             chooser.begin(jobs, names, generator, steps=self._longest)
-        if self._cameras is not None:
-            self._draw()
         if device.type == "cuda" and self._advance == self._eager:
             if self._cameras is not None:
+                self._draw()  # makes what the graphs write into
                 self._look = captured(self._draw, [self._step])
             changed = [t for chooser in self._choosers for t in chooser.remembered]
             self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
