@@ -232,6 +232,11 @@ are 20 episodes of about 600, and 100 M steps are 8,333 updates. A rollout of 12
 minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""
 
 
+SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3)
+"""Our own settings for a robot that sees. It has to remember what it has found out in an episode. While the person is near, it
+decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures."""
+
+
 def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
     """A recipe of rearrangement, or our own settings for None, with some settings changed; None changes nothing.
 
@@ -243,4 +248,5 @@ def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
             f"Unknown recipe {name!r} of rearrange. Expected one of: {', '.join(RECIPES)}; or none, for our own settings.",
             code="H3-TRAIN-033",
         )
-    return (PopulationSettings() if name is None else RECIPES[name]).changed(**changes)
+    ours = SEEING if changes.get("pixels") else PopulationSettings()
+    return (ours if name is None else RECIPES[name]).changed(**changes)

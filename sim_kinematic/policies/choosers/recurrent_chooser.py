@@ -62,6 +62,8 @@ class RecurrentSkillPolicy:
         self.shown: dict[str, NDArray[np.float32]] = {}
         """Observations of the last decision."""
         self._thought, self._times = 0, 0
+        self._placed = np.zeros(objects, np.bool_)
+        """Which objects this agent has itself brought to their goals, [K]."""
 
     def require_body(self, body: str) -> None:
         """Check that the robot is the one that the network was trained with.
@@ -83,11 +85,19 @@ class RecurrentSkillPolicy:
         scores, state = self.network(each, rest, self.state, shown)
         # several choices may be made in one step, and each needs random numbers of its own
         self._times = self._times + 1 if view.step == self._thought else 0
-        may = allowed(view, self.choices, informed=not self.network.sees) & self.network.offered
+        self._remember(view)
+        own = self._placed if self.network.sees else None
+        may = allowed(view, self.choices, placed=own) & self.network.offered
         self.shown = shown
         number = self.choose(view, each, rest, np.where(may, scores, -np.inf))
         self.state, self._thought = state, view.step
         return self.choices[number]
+
+    def _remember(self, view: RearrangeView) -> None:
+        """Take in what the action that has just ended did with its object."""
+        if view.action is not None and view.last is not None and view.last.outcome == "done":
+            if view.action.skill in ("pick", "place"):
+                self._placed[view.action.target] = view.action.skill == "place"
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
@@ -123,16 +133,19 @@ def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.floa
     return shown | view.observe(taken, size=card.picture_size) if taken and view.observe else shown
 
 
-def allowed(view: RearrangeView, known: Sequence[Action], *, informed: bool = True) -> NDArray[np.bool_]:
+def allowed(
+    view: RearrangeView, known: Sequence[Action], *, placed: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """Return which actions are useful in a state, [C].
 
     With an empty hand these are the actions on objects that lie about and are not at their goals; with an object in
     hand, those that bring it to its goal. Where the agent has just arrived, it may pick or place but not navigate
-    again; it may always continue the action that it has begun, or take one without an object. An agent that is not
-    ``informed`` knows its own hand and nothing of other objects, so all that it does not hold might lie about.
+    again; it may always continue the action that it has begun, or take one without an object. An agent that sees, with
+    ``placed`` [K], knows its own hand and which objects it has itself brought to their goals. Of all others it cannot tell
+    whether they lie about.
     """
     held, empty = view.held_by, not (view.held_by == view.agent).any()
-    free = (held == NOBODY) & ~view.at_goal if informed else held != view.agent
+    free = (held == NOBODY) & ~view.at_goal if placed is None else (held != view.agent) & ~placed
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     begun = view.action if view.last is not None and view.last.outcome == "aborted" else None
     found = np.ones(len(known), np.bool_)
