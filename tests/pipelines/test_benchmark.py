@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -228,6 +229,22 @@ def test_another_episode_is_found(short_nav: tuple[Path, Path], result: Path) ->
 
     rewrite(result, 0, easier)
     assert "it is another episode than the benchmark's: robot_start" in faults(result, short_nav[0])
+
+
+@pytest.mark.slow
+def test_people_of_other_rules_reach_more_goals(tmp_path: Path) -> None:
+    text = SOCIAL_NAV.replace('"natural"', '"paper"').replace("overrides = { max_steps = 60 }\n", "")
+    text = re.sub(r"scenes = .*", 'scenes = ["h3-homes/test"]', text)
+    folder = definition(tmp_path / "paper-nav", re.sub(r"episodes = .*", "episodes = 1", text))
+    out = tmp_path / "out"
+    run_benchmark(read_benchmark(folder), ["stand_still"], out)
+    assert not faults(out, folder)
+
+    def elsewhere(recording: Recording) -> None:
+        recording.episode.info["human_goals"][0][0] += 0.5
+
+    rewrite(out, 0, elsewhere)
+    assert "human_goals" in faults(out, folder)
 
 
 @pytest.mark.parametrize("partner", [["plan_pop_1"], 3, {"a": 1}])
