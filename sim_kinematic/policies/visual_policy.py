@@ -65,6 +65,9 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
     """True if a robot of rearrangement may choose the primitives of navigation."""
+    temperature: float = 1.0
+    """Divisor of the scores of choices before one is drawn in play; below 1 the better ones are drawn more often than in
+    training."""
     training: dict[str, Any] = {}
     """Origin of the policy: recipe, seed, steps, hardware, versions."""
 

@@ -93,6 +93,7 @@ class ChooserLearner:
             observations=s.observations_of(self.agent),
             picture_size=s.picture_size if self.net.sees else None,
             hold=s.think_steps,
+            temperature=s.temperature if self.agent == ROBOT else 1.0,
             network=KIND,
             agent=self.agent,
             objects=self.objects,

@@ -69,6 +69,8 @@ class PopulationSettings:
     """Number of planes of the three convolutions for pictures."""
     features: int = 64
     """Number of values that represent a picture after the convolutions."""
+    temperature: float = 1.0
+    """Temperature at which the finished robot draws its choices in play (`PolicyCard.temperature`); in training it is 1."""
     think_steps: int = 30
     """Number of steps after which a learner chooses again while it walks."""
 
@@ -232,9 +234,10 @@ are 20 episodes of about 600, and 100 M steps are 8,333 updates. A rollout of 12
 minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""
 
 
-SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3)
+SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3, temperature=0.25)
 """Our own settings for a robot that sees. It has to remember what it has found out in an episode. While the person is near, it
-decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures."""
+decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures. The
+temperature was chosen on val homes (h3data docs populations)."""
 
 
 def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:

@@ -180,7 +180,9 @@ class SkillPolicyNetwork(CardedNetwork):
         about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
         if self.sees:
             about = (*about, card.picture_size)
-        # digests of files from before cards had this entry stay
+        # digests of files from before cards had these entries stay
+        if card.temperature != 1.0:
+            about = (*about, card.temperature)
         return self._digest(about if card.primitives else (*about, "without primitives"))
 
     @cached_property
@@ -261,4 +263,6 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"it knows {card.objects} objects, expected 1 to 16"]
     if not 1 <= card.hold <= 3000:
         return [f"it thinks again after {card.hold} steps, expected 1 to 3000"]
+    if not 0.01 <= card.temperature <= 100:
+        return [f"its temperature is {card.temperature}, expected 0.01 to 100"]
     return array_faults(arrays, shapes(card, arrays))

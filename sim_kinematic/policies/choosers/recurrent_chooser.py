@@ -24,8 +24,8 @@ ALERT_M, ALERT_STEPS = 4.0, 5
 class RecurrentSkillPolicy:
     """Policy that samples among the `allowed` actions by their scores, as in training.
 
-    Random numbers follow from the episode's seed. Taking the best action would be worse: a greedy policy can turn left
-    and right forever. The policy holds a recurrent state, so each episode needs a policy of its own.
+    Random numbers follow from the episode's seed, and the temperature from the network's card. Taking the best action
+    would be worse: a greedy policy can turn left and right forever. The policy holds a recurrent state, so each episode needs a policy of its own.
 
     While the agent walks or drives, the network is evaluated every second, six times a second while the other agent is
     within 4 m, and at once when the other has taken the object it is heading for. The agent continues if the same
@@ -103,7 +103,7 @@ class RecurrentSkillPolicy:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
         # Gumbel noise (Gumbel 1954): the largest sum is a sample of the softmax of the scores
         rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)
-        return int(np.argmax(scores + rng.gumbel(size=len(scores))))
+        return int(np.argmax(scores / self.network.card.temperature + rng.gumbel(size=len(scores))))
 
     def interrupts(self, view: RearrangeView) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""
