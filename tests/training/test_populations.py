@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -410,6 +411,49 @@ def test_a_robot_that_sees_is_told_no_state(episodes: Sequence[RearrangeEpisode]
     policies = [AssignedPolicy(Watching(robot), ROBOT, ROBOT), AssignedPolicy(plan, "both", "human", "both")]
     run(WorldRollout.of(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=200)), policies))
     assert any(seen)
+
+
+def test_a_robot_that_sees_does_not_go_again_for_what_it_has_placed(episodes: Sequence[RearrangeEpisode]) -> None:
+    """It forgets nothing that it has done itself, and is told nothing that the person has done."""
+    offered: list[tuple[str, set[int]]] = []
+
+    class Watching(RecurrentSkillPolicy):
+        def choose(self, view: Any, each: Any, rest: Any, scores: Any) -> int:
+            going = {
+                a.target
+                for a, s in zip(self.choices, scores, strict=True)
+                if a.skill == "nav_to_object" and s > -np.inf
+            }
+            offered.append((" ".join(np.flatnonzero(view.at_goal).astype(str)), going))
+            # the first handling skill that is offered, else the first walk: both objects, one after the other
+            order = ["pick", "place", "nav_to_goal", "nav_to_object", "wait"]
+            may = [n for n, s in enumerate(scores) if s > -np.inf and self.choices[n].skill in order]
+            return min(may, key=lambda n: (order.index(self.choices[n].skill), n))
+
+    robot = Watching(chooser(pixels=True))
+    still = AssignedPolicy(planner("still", 3, 2), "still", "human", "still")
+    episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=1500))
+    run(WorldRollout.of(Rearrange(), episode, [AssignedPolicy(robot, ROBOT, ROBOT), still]))
+    assert {there for there, _ in offered} >= {"", "0"}
+    assert all("0" not in there or 0 not in going for there, going in offered)
+    assert any(going == {0, 1} for there, going in offered if not there)
+
+
+def test_a_lower_temperature_draws_the_best_more_often() -> None:
+    network = chooser()
+    cold = replace(network, card=msgspec.structs.replace(network.card, temperature=0.1))
+    assert cold.digest != network.digest
+    scores = np.array([0.0, 1.0, *([-np.inf] * 11)], np.float32)
+
+    def share(of: SkillPolicyNetwork) -> float:
+        policy = RecurrentSkillPolicy(of)
+        views: list[Any] = [SimpleNamespace(agent=0, step=step) for step in range(200)]
+        return float(np.mean([policy.choose(view, scores, scores, scores) == 1 for view in views]))
+
+    assert 0.6 < share(network) < 0.85
+    assert share(cold) > 0.99
+    with pytest.raises(InputError, match=r"(?s)temperature.*H3-POLICY-007"):
+        replace(network, card=msgspec.structs.replace(network.card, temperature=0.0))
 
 
 def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ class Train:
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
         h3data train skill place --recipe fast --device cuda -o out/seeing/place
-        h3data train rearrange --population plan_pop_3 --pixels --worlds 1024 --device cuda -o out/plan_pop_3_pixels
+        h3data train rearrange --population plan_pop_3 --pixels --worlds 2048 --device cuda -o out/plan_pop_3_pixels
         h3data train rearrange --population learn_single --worlds 1024 --device cuda -o out/learn_single
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """

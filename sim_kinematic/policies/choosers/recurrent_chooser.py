@@ -25,7 +25,8 @@ class RecurrentSkillPolicy:
     """Policy that samples among the `allowed` actions by their scores, as in training.
 
     Random numbers follow from the episode's seed, and the temperature from the network's card. Taking the best action
-    would be worse: a greedy policy can turn left and right forever. The policy holds a recurrent state, so each episode needs a policy of its own.
+    would be worse: a greedy policy can turn left and right forever. The policy holds a recurrent state, so each episode
+    needs a policy of its own.
 
     While the agent walks or drives, the network is evaluated every second, six times a second while the other agent is
     within 4 m, and at once when the other has taken the object it is heading for. The agent continues if the same
@@ -95,9 +96,10 @@ class RecurrentSkillPolicy:
 
     def _remember(self, view: RearrangeView) -> None:
         """Take in what the action that has just ended did with its object."""
-        if view.action is not None and view.last is not None and view.last.outcome == "done":
-            if view.action.skill in ("pick", "place"):
-                self._placed[view.action.target] = view.action.skill == "place"
+        if view.last is not None and view.last.outcome == "done" and view.action is not None:
+            skill, target, *_ = view.action
+            if skill in ("pick", "place"):
+                self._placed[target] = skill == "place"
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
