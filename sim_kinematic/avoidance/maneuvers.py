@@ -38,8 +38,6 @@ GREED = 1.5
 SLIDES_M = 0.02
 """A first move along a wall by less than this is none; a turn counts as at a distance of a cell from the middle."""
 MOST_NODES = 30_000
-AGENT_GAP_M = 0.05
-"""Least gap to other agents [m]."""
 NO_COMMANDS = np.zeros((0, 2))
 
 
@@ -187,7 +185,8 @@ def plan_maneuver(
     # an agent that is nearer already must not rule out every command: the robot may move away from it
     for disc in wide:
         now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
-        disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
+        # 0.05: least gap to other agents [m]
+        disc[2] = min(disc[2] + base.disc_radius_m + 0.05, now - 1e-3)
     poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
     moved = np.empty(MOST_NODES, np.int64)
     slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m

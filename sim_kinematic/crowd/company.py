@@ -37,8 +37,6 @@ CANDIDATES = 300
 """Number of places for a conversation that are compared."""
 PASSING_M, EDGE_M = 0.95, 0.25
 """Distances at which people pass those who stand and talk, and walls: both bodies with what feet reach ahead [m]."""
-CLOSED_M2 = 0.2
-"""Area of floor that a conversation may cut off from the rest [m2]."""
 
 
 @kernel(error_model="numpy")
@@ -170,7 +168,8 @@ def standing_circle(
         closed = closed_area(free, places) if leaves_way else 0.0
         if closed < least:
             least, chosen = closed, (places, np.asarray(centres[k]))
-        if closed < CLOSED_M2:
+        # 0.2: area of floor that a conversation may cut off from the rest [m2]
+        if closed < 0.2:
             break
     return chosen
 

@@ -22,8 +22,6 @@ from h3data.mesh.mesh import Mesh
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
 """Kinds of files that a URDF may name; nothing else is ever opened for it."""
 MAX_PATH = 1024
-MAX_LEVELS = 7
-"""The folder of the URDF and those above it in which packages are looked for."""
 CLIMBS = "expected a path that climbs at most two folders above the URDF"
 PLANE_SIDE_M = 30.0
 PLANE_THICKNESS_M = 0.1
@@ -232,7 +230,8 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
     scheme, _, rest = filename[:MAX_PATH].strip().replace("\\", "/").rpartition("://")
     scheme = scheme.lower()
     here = Path(os.path.abspath(folder))
-    above = [p for p in (here, *here.parents) if p != p.parent][:MAX_LEVELS] or [here]  # never the root of the disk
+    # 7: the folder of the URDF and those above it in which packages are looked for
+    above = [p for p in (here, *here.parents) if p != p.parent][:7] or [here]  # never the root of the disk
     # packages have their URDFs in a folder beside that of the meshes, so paths climb a little
     top = above[min(2, len(above) - 1)]
     fault = None

@@ -21,8 +21,6 @@ from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.tasks.episode import agent_base, agent_floor
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
-_ERRANDS = "_errands"
-
 Stands = tuple[Array, Callable[[Array], bool]]
 """Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
 
@@ -34,7 +32,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
         InputError: The home has doors or drawers that open.
     """
     # beside the fields of the frozen episode: replace() leaves it out, so other agents have their own
-    known = vars(episode).setdefault(_ERRANDS, {})
+    known = vars(episode).setdefault("_errands", {})
     if number not in known:
         if episode.scene.articulations:
             raise InputError(
