@@ -40,23 +40,19 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
                 "rules without oracle.",
                 code="H3-TASK-015",
             )
-        known[number] = _errands(episode, number)
+        # paths to the places where the agent takes and puts down each object
+        starts = np.array([target.start[:3] for target in episode.targets], np.float64)
+        goals = np.array([target.goal for target in episode.targets], np.float64)
+        floor = agent_floor(episode, number)
+        ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
+        known[number] = SubGoals(
+            oracle=episode.spec.oracle or OracleSpec(),
+            to_start=ways[: len(starts)],
+            to_goal=ways[len(starts) :],
+            starts=starts,
+            goals=goals,
+        )
     return known[number]
-
-
-def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
-    """Compute the errands of an agent: paths to the places where it takes and puts down each object."""
-    starts = np.array([target.start[:3] for target in episode.targets], np.float64)
-    goals = np.array([target.goal for target in episode.targets], np.float64)
-    floor = agent_floor(episode, number)
-    ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
-    return SubGoals(
-        oracle=episode.spec.oracle or OracleSpec(),
-        to_start=ways[: len(starts)],
-        to_goal=ways[len(starts) :],
-        starts=starts,
-        goals=goals,
-    )
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
