@@ -27,16 +27,10 @@ MOVE_M = 0.1
 """Length of a move, also the side of a cell in which two poses count as one."""
 HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
-BACKWARDS_COST = 1.5
-"""Cost of a metre backwards, in metres."""
 TURN_COST_M = 0.06
 """Cost of a turn by one cell."""
 GAIN_M = 1.5
 """A maneuver ends as soon as it has shortened the path by this much."""
-GREED = 1.5
-"""Weight of the remaining path: a higher one finds longer maneuvers sooner."""
-SLIDES_M = 0.02
-"""A first move along a wall by less than this is none; a turn counts as at a distance of a cell from the middle."""
 MOST_NODES = 30_000
 NO_COMMANDS = np.zeros((0, 2))
 
@@ -112,7 +106,9 @@ def _search(
             gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
             # else a base pressed against a wall would creep along it by millimetres, through thousands of
             # nodes
-            if gone < SLIDES_M:
+            # 0.02: a first move along a wall by less than this is none; a turn counts as at a distance of
+            # a cell from the middle
+            if gone < 0.02:
                 continue
             a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
             c = int(math.floor(nh / sector + 0.5)) % HEADINGS
@@ -132,15 +128,15 @@ def _search(
             if not free:
                 continue
             way = moves[m, 0] * steps * dt
-            cost_here = (
-                cost + (way if way > 0 else -BACKWARDS_COST * way) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
-            )
+            # 1.5: cost of a metre backwards, in metres
+            cost_here = cost + (way if way > 0 else -1.5 * way) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
             poses[count, 0], poses[count, 1], poses[count, 2] = nx_, nz_, nh
             parents[count], moved[count] = node, m
             turned = nh - bearing
             off = abs(turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5))
             rest = max(left[a, b] - enough, 0.0) + max(off - facing, 0.0) / sector * TURN_COST_M
-            heapq.heappush(heap, (cost_here + GREED * rest, cost_here, count))
+            # 1.5: weight of the remaining path: a higher one finds longer maneuvers sooner
+            heapq.heappush(heap, (cost_here + 1.5 * rest, cost_here, count))
             count += 1
     return -1
 
