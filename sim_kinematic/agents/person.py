@@ -61,9 +61,6 @@ CARRY = (0.27, 0.80, 0.15)
 """Position of a hand that carries something: forward, up, to its side, in heights of the shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
-JOINT_STEP_RAD = 0.18
-"""Largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed
-it."""
 EASE_M = 0.08
 """Part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
@@ -470,9 +467,12 @@ class Person:
             yield 0.0
         poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
-        if fastest > JOINT_STEP_RAD:
+        # largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a
+        # joint would exceed it
+        joint_step_rad = 0.18
+        if fastest > joint_step_rad:
             # how fast joints turn only the poses tell: the line is solved again, slower by the excess
-            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
+            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / joint_step_rad)
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
             # those of a reach look at the target at once: up to 480 degrees a second

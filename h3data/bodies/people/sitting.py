@@ -36,18 +36,12 @@ if TYPE_CHECKING:
 
 SINK_M = 0.005
 """Depth by which a seat gives way under the hips; all other skin is as deep in it at most."""
-KNEE_AHEAD_M = 0.04
-"""Distance by which the knees of a seated person are ahead of the ankles."""
-SEATED_DEG = (("pelvis", -14.0), ("spine1", 5.0), ("spine2", 4.0), ("spine3", 3.0), ("neck", 2.0), ("head", 2.0))
-"""Pitch of each joint of the trunk of a seated person, forward positive."""
 LEAN_DEG, LEAN_EARLY = 44.0, 0.8
 """Greatest lean of the trunk between standing and sitting, and the exponent that moves it towards standing."""
 BACK_FIRST, DOWN_LATE = 1.7, 1.2
 """Exponents by which the hips go back before they go down."""
 PATH_SHARES = np.linspace(0.4, 1.0, 13)
 """Shares of the path at which the front edge is kept out of the body."""
-PATH_SINK_M = 0.012
-"""Depth by which skin may be behind the front edge on the path [m]."""
 HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
@@ -161,11 +155,15 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     legs = body.gaits.legs
     stand = stand_posture(legs)
     quats = stand.quats[0].copy()
-    for name, angle in SEATED_DEG:
+    # pitch of each joint of the trunk of a seated person, forward positive
+    seated_deg = (("pelvis", -14.0), ("spine1", 5.0), ("spine2", 4.0), ("spine3", 3.0), ("neck", 2.0), ("head", 2.0))
+    for name, angle in seated_deg:
         quats[JOINT_INDEX[name]] = quat_from_matrix(rotation(X, angle))
-    hips = rotation(X, SEATED_DEG[0][1]) @ legs.hips[0]
+    hips = rotation(X, seated_deg[0][1]) @ legs.hips[0]
     ankle = stand.ankle[0, 0]
-    knee_y = ankle[1] + np.sqrt(legs.shank**2 - KNEE_AHEAD_M**2)
+    # distance by which the knees of a seated person are ahead of the ankles
+    knee_ahead_m = 0.04
+    knee_y = ankle[1] + np.sqrt(legs.shank**2 - knee_ahead_m**2)
     pelvis = np.array([0.0, seat_m + 0.1, 0.0])
     of_hips = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
     seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], of_hips)
@@ -183,7 +181,7 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
                 f"{knee_y - 0.2:.2f} to {knee_y + 0.15:.2f} m.",
                 code="H3-BODY-178",
             )
-        pelvis[2] = ankle[2] + KNEE_AHEAD_M - np.sqrt(flat) - hips[2]
+        pelvis[2] = ankle[2] + knee_ahead_m - np.sqrt(flat) - hips[2]
         posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
         # from the agent root's axes, forward, up and right, to right, up and forward
         vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
@@ -194,9 +192,11 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
     skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
-    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
+    # depth by which skin may be behind the front edge on the path [m]
+    path_sink_m = 0.012
+    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, path_sink_m, SINK_M)[:, None]
     # skin below the height of the seat would be in it if the edge were further forward
-    edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
+    edge = float(ahead[skin[..., 1] < seat_m - path_sink_m].min())
     return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))
 
 

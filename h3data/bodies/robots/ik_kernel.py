@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from h3data.bodies.robots.kinematics import SLIDES, TURNS
 from h3data.kernels import kernel, kernel_part
 
-MAX_STEP = 0.6
-"""Longest move of a joint in one step of the search [rad or m]."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
 """Damping at the start, and its limits, in the unit of the squared singular values of the Jacobian, to which it is added."""
 PATIENCE = 4
@@ -154,9 +152,11 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
     longest = 0.0
     for c in free:
         longest = max(longest, abs(move[c]))
+    # longest move of a joint in one step of the search [rad or m]
+    max_step = 0.6
     # all joints by one factor, which keeps the direction of the step
-    if longest > MAX_STEP:
-        move *= MAX_STEP / longest
+    if longest > max_step:
+        move *= max_step / longest
 
 
 @kernel_part()

@@ -56,12 +56,8 @@ from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 PAIR = ("robot", "human")
 """The paper's agents."""
 ATTEMPTS, THOROUGH_ATTEMPTS = 200, 150
-REDRAW = 10
-"""Number of attempts after which the starts are sampled anew as well."""
 HANDLING_S = 4.5
 """Estimated time that a person needs for one object, besides walking and turning [s]."""
-STANDS_WITHIN_M = 1.0
-"""Distance within which a person stands from the object that they take or put down [m]."""
 SNAP_M = 2.0
 """The floor is at most this far from the middle of a surface."""
 SPARE = 0.98
@@ -274,13 +270,15 @@ def draw_episode(
     leg = longest / (2 * spec.objects)
     why = f"a person alone would take more than {budget:.0f} s"
     starts = None
+    # number of attempts after which the starts are sampled anew as well
+    redraw = 10
     for attempt in range(ATTEMPTS + THOROUGH_ATTEMPTS):
         rng, thorough = generator(seed, "rearrange", step=attempt), attempt >= ATTEMPTS
-        if starts is None or attempt % REDRAW == 0:
+        if starts is None or attempt % redraw == 0:
             starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
-        within = np.inf if attempt < REDRAW else leg
+        within = np.inf if attempt < redraw else leg
         # 20: number of attempts that try one spot on a surface, and number of spots that later attempts try,
         # as free spots may be rare
         targets = draw.targets(rng, chosen, starts.human_xz, within, longest, spots=20 if thorough else 1)
@@ -393,12 +391,14 @@ class _EpisodeSampler:
         ]
         found = []
         least = 0.0
+        # distance within which a person stands from the object that they take or put down [m]
+        stands_within_m = 1.0
         for thing in chosen:
             start = self._place(rng, thing, taken, here, within_m, spots=spots)
             if start is None:
                 return None
             # at either end a person stands this far away, so a leg may be so much shorter than the line
-            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * stands_within_m, 0.0)
             # before the search for a goal, which costs more than the straight lines up to here
             if least > longest_m:
                 return None
@@ -406,7 +406,7 @@ class _EpisodeSampler:
             goal = self._place(rng, thing, taken, here, within_m, start, spots=spots)
             if goal is None:
                 return None
-            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * stands_within_m, 0.0)
             here = goal[0][[0, 2]]
             turned = np.concatenate([start[0], quat_from_heading(rng.uniform(-np.pi, np.pi))])
             found.append(Target(thing.name, turned, goal[0], start[1], goal[1]))

@@ -55,14 +55,8 @@ SHAPE_OFF = 12
 FOOT_COLUMNS = 16
 STATE_COLUMNS = FOOT + 2 * FOOT_COLUMNS
 
-CATCH_UP = 0.015
-"""Cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump."""
 SETTLED_M, SETTLED_RAD = 0.02, 0.10
 """Distance and angle within which a foot counts as being at its place."""
-TWIST_RAD = 0.6
-"""A foot lands turned from the body by no more than this."""
-OFF_M = 0.45
-"""Largest distance at which a foot lands from where the steady gait has it [m]."""
 LANDING_M, LANDING_RAD = 0.06, 0.20
 """The place where a swinging foot will land moves by no more than this in a step."""
 FIRST_SHARE = 0.25
@@ -77,8 +71,6 @@ STRETCHED = 0.994
 """Largest share of its length to which a leg is stretched: straighter knees would snap."""
 CROUCH_M, CROUCH_MPS = 0.06, 0.2
 """Distance by which the pelvis is lower on stairs, for the foot below, and the speed at which it gets there."""
-DRAWS = 0.3
-"""Share of a swing from which on the pelvis sinks for a foot that comes down on a lower tread."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
@@ -760,9 +752,13 @@ def _aim(table, k, f, state, foot, span, gone):
     """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
-    yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
+    # a foot lands turned from the body by no more than this
+    twist_rad = 0.6
+    yaw = min(max(state[TURN] * half, -twist_rad), twist_rad)
+    # largest distance at which a foot lands from where the steady gait has it [m]
+    off_m = 0.45
     # the root outruns the gait while it speeds up; without this feet land behind and the pelvis sinks
-    ahead = min(max((state[AHEAD] - state[SPEED]) * half, -OFF_M), OFF_M)
+    ahead = min(max((state[AHEAD] - state[SPEED]) * half, -off_m), off_m)
     # on an arc the body drifts aside by v w t^2 / 2 in half a stance
     left = min(max(state[SPEED] * state[TURN] * half * half / 2, -0.12), 0.12)
     if table.heights.shape[0]:
@@ -783,7 +779,9 @@ def _show(state, ahead):
     gap = state[PHASE] - state[SHOWN] - ahead
     # the shorter way round the cycle
     gap -= math.floor(gap + 0.5)
-    state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -CATCH_UP), CATCH_UP)) % 1.0
+    # cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump
+    catch_up = 0.015
+    state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -catch_up), catch_up)) % 1.0
 
 
 @kernel_part(borrows=True)
@@ -863,6 +861,8 @@ def _will_lack(table, k, f, state, foot):
 def _settle_pelvis(table, k, f, state, dt):
     """Returns how far the pelvis must be below that of the gait for the planted feet; it sinks at once and rises slowly."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
+    # share of a swing from which on the pelvis sinks for a foot that comes down on a lower tread
+    draws = 0.3
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         # a foot that has left needs the pelvis less and less: the pelvis would bob if it dropped the demand at once
@@ -871,7 +871,7 @@ def _settle_pelvis(table, k, f, state, dt):
         sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
         if climbs and state[at + AIR] > 0.0 and _steps_off(table, state, foot):
             # one that will come down on a lower tread draws the pelvis down in time
-            share = min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)
+            share = min(max((state[at + SHARE] - draws) / (1 - draws), 0.0), 1.0)
             sink = max(sink, _eased(share) * _will_lack(table, k, f, state, foot))
     if climbs and beside_steps(table.heights, state[X], state[Z]):
         sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
