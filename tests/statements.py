@@ -35,10 +35,8 @@ def count_names(source: str) -> int:
     """Number of functions, classes and single variables that a module defines at its top level."""
     return sum(
         isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
-        or isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Name)
-        or isinstance(node, ast.AnnAssign)
-        and isinstance(node.target, ast.Name)
+        or (isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name))
+        or (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name))
         for node in ast.parse(source).body
     )
 
