@@ -68,6 +68,14 @@ def _linear_of_srgb() -> NDArray[np.uint16]:
     return np.round(bytes_to_linear(np.arange(256)) * 65535).astype(np.uint16)
 
 
+def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Nearest 8-bit sRGB values; exact for values written by `save_scene`."""
+    table = _linear_of_srgb().astype(np.int32)
+    # values of other writers lie between ours, and take the nearer one
+    middles = (table[1:] + table[:-1]) // 2
+    return np.searchsorted(middles, linear, side="left").astype(np.uint8)
+
+
 # --- writing ----------------------------------------------------------------------------------------------------------
 class _Textures:
     """The textures of a file in order of first use, each written once."""
@@ -295,15 +303,10 @@ def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture
         ordered, faces = faces, np.empty_like(faces)
         faces[_by_texture(face_textures)] = ordered
     color = _accessor(arrays, accessors["COLOR_0"], "VEC4", UINT16)
-    # nearest 8-bit sRGB values; exact for values written by `save_scene`
-    linear = color[:, :3]
-    table = _linear_of_srgb().astype(np.int32)
-    # values of other writers lie between ours, and take the nearer one
-    middles = (table[1:] + table[:-1]) // 2
     return Mesh(
         vertices=_accessor(arrays, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),
         faces=faces,
-        colors=np.searchsorted(middles, linear, side="left").astype(np.uint8),
+        colors=_srgb_of_linear(color[:, :3]),
         normals=floats32("NORMAL", "VEC3"),
         uv=floats32("TEXCOORD_0", "VEC2"),
         textures=tuple(textures[k] for k in accessors.get("textures", ())),

@@ -23,16 +23,20 @@ def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
     """
     # beside the fields of the frozen episode: replace() leaves it out, so other agents count anew
     if _SOLO_STEPS not in vars(episode):
-        kinds = kinds_of(episode.roster)
-        first = kinds.index("human") if "human" in kinds else 0
-        alone = episode.only(first)
-        policy: Any = planner("both", episode.seed, len(episode.targets))
-        # the reference has to search as well, or it would know more than those compared with it
-        policy = Seeking(policy) if episode.spec.observe == "seen" else policy
-        play = WorldRollout.of(task, alone, [AssignedPolicy(policy, "both", kinds[first], "both")])
-        run(play)
-        vars(episode)[_SOLO_STEPS] = play.step
+        vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(task, episode)
     return vars(episode)[_SOLO_STEPS]
+
+
+def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
+    kinds = kinds_of(episode.roster)
+    first = kinds.index("human") if "human" in kinds else 0
+    alone = episode.only(first)
+    policy: Any = planner("both", episode.seed, len(episode.targets))
+    # the reference has to search as well, or it would know more than those compared with it
+    policy = Seeking(policy) if episode.spec.observe == "seen" else policy
+    play = WorldRollout.of(task, alone, [AssignedPolicy(policy, "both", kinds[first], "both")])
+    run(play)
+    return play.step
 
 
 def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:
