@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.statements import CORE, LIMIT, by_package, count_statements
+from tests.statements import CORE, LIMIT, NAMES_LIMIT, by_package, count_names, count_statements, names_per_1000_lines
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = {
@@ -422,3 +422,12 @@ def test_what_a_newcomer_reads_does_not_grow() -> None:
     """What only one other package uses, a format of others or a task beside the paper's belongs above the core."""
     counts = by_package(ROOT)
     assert sum(counts[name] for name in CORE) <= LIMIT, "see `python -m tests.statements`"
+
+
+def test_names_are_counted_at_the_top_of_modules() -> None:
+    assert count_names("A = 1\nB: int = 2\nC, D = 3, 4\ndef f():\n    e = 5\nclass G:\n    h = 6\n") == 4
+
+
+def test_a_newcomer_meets_no_more_names() -> None:
+    """A constant or helper of one function belongs into it, those of one module into a record."""
+    assert names_per_1000_lines(ROOT) <= NAMES_LIMIT, "see `python -m tests.statements`"

@@ -15,8 +15,6 @@ from h3data.mesh.accessors import GltfArrays, entry, natural
 from h3data.mesh.images import Alpha, image_size, image_texture, largest_side
 from h3data.mesh.mesh import Texture
 
-_log = logging.getLogger(__name__)
-
 _ALPHA_MODES: Mapping[str, Alpha] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
 
 
@@ -94,7 +92,7 @@ class GltfMaterials:
             except SceneError as reason:
                 fault = f"images[{index}]: {reason}"
         if not self._warned:
-            _log.warning(
+            logging.getLogger(__name__).warning(
                 "a texture is left out, its surfaces show their material's colour (%s): %s", fault, self._where
             )
             self._warned = True

@@ -15,7 +15,6 @@ from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, p
 if TYPE_CHECKING:
     from h3data.recording.parquet.dataset import Dataset
 
-_HEAD_BYTES = 1 << 16
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
 """Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which lie beside recordings but are none."""
 
@@ -111,11 +110,12 @@ def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
 
 def _format_of(path: AnyPath) -> Format:
     """The format of a file; of one in a remote store only the beginning is read."""
+    head_bytes = 1 << 16
     if isinstance(path, Path):
-        return detect(SourceFile(path, chunk_bytes=_HEAD_BYTES))
+        return detect(SourceFile(path, chunk_bytes=head_bytes))
     try:
         with open_binary(path) as stream:
-            return format_by_beginning(stream.read(_HEAD_BYTES))
+            return format_by_beginning(stream.read(head_bytes))
     except OSError as error:
         raise InputError(
             f"The file cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-026"

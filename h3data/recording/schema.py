@@ -49,8 +49,6 @@ DTYPES = frozenset(
     "bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split()  # noqa: SIM905
 )
 
-_ACTION = re.compile(r"agent_\d+\.action$")
-
 
 @dataclass(frozen=True)
 class Column:
@@ -80,7 +78,7 @@ Layout = tuple[Column, ...]
 
 def topic_of(column: str) -> Topic:
     """Kind of a column: state, an action, a measurement, or input of people."""
-    if _ACTION.match(column):
+    if re.match(r"agent_\d+\.action$", column):
         return "action"
     if column.startswith("input."):
         return "input"

@@ -16,7 +16,7 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, suggest
-from h3data.recording.records import InputEvent, Recording, SkillSpan
+from h3data.recording.records import InputEvent, Recording
 from h3data.recording.schema import Layout
 
 
@@ -68,7 +68,17 @@ class Steps(ABC):
             whole,
             episode=replace(whole.episode, info={**whole.episode.info, "window": window}),
             events=tuple(replace(e, step=e.step - start) for e in whole.events if start <= e.step < stop),
-            skills=_skills_within(whole.skills, start, stop),
+            skills=tuple(
+                replace(
+                    s,
+                    start_step=max(s.start_step, start) - start,
+                    end_step=min(s.end_step, stop - 1) - start,
+                    outcome=s.outcome if s.end_step < stop else "running",
+                    reason=s.reason if s.end_step < stop else "",
+                )
+                for s in whole.skills
+                if s.start_step < stop and s.end_step >= start
+            ),
             inputs=self._inputs_within(whole.inputs, start, stop),
         )
 
@@ -113,17 +123,3 @@ class Steps(ABC):
     @abstractmethod
     def _recording(self, start: int, stop: int) -> Recording:
         """These rows with all records of the whole episode."""
-
-
-def _skills_within(skills: Sequence[SkillSpan], start: int, stop: int) -> tuple[SkillSpan, ...]:
-    return tuple(
-        replace(
-            s,
-            start_step=max(s.start_step, start) - start,
-            end_step=min(s.end_step, stop - 1) - start,
-            outcome=s.outcome if s.end_step < stop else "running",
-            reason=s.reason if s.end_step < stop else "",
-        )
-        for s in skills
-        if s.start_step < stop and s.end_step >= start
-    )

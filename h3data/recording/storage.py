@@ -32,8 +32,6 @@ _SECRET = re.compile(
     r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
     re.I,
 )
-_DENIED = re.compile(r"ACCESS_DENIED|Access ?Denied|PERMISSION_DENIED|AuthorizationPermissionMismatch|Forbidden")
-"""Words by which the stores of S3, Google and Azure deny access, in the messages that pyarrow passes on."""
 # At least two letters, as a Windows drive is no scheme; one slash is enough, because `Path` joins two.
 _URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
@@ -302,7 +300,9 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
         # pyarrow has one class for all errors of stores; what happened is only in the words of the store
         text = str(error)
         bucket = f"{path.scheme}://{path.path.partition('/')[0]}"
-        if _DENIED.search(text):
+        # words by which the stores of S3, Google and Azure deny access, in the messages that pyarrow passes
+        # on
+        if re.search(r"ACCESS_DENIED|Access ?Denied|PERMISSION_DENIED|AuthorizationPermissionMismatch|Forbidden", text):
             raise InputError(
                 f"Access denied: no right to {to} {path}. Expected credentials that may list, read, write and delete there: "
                 "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place.",

@@ -246,21 +246,17 @@ def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
         return link_frames(replay, agent, spec.link)
     base = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))
     if spec.smooth_s > 0:
-        base = _smoothed(base, spec.smooth_s / max(float(np.median(np.diff(_times(replay)))), 1e-6))
+        steps = spec.smooth_s / max(float(np.median(np.diff(_times(replay)))), 1e-6)
+        from scipy.ndimage import gaussian_filter1d
+
+        position = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
+        # an angle can be smoothed only where it does not jump by 2 pi
+        heading = gaussian_filter1d(np.unwrap(heading_from_quat(base[:, 3:])), steps / 2, mode="nearest")
+        base = np.asarray(np.concatenate([position, quat_from_heading(heading)], axis=1), np.float64)
     # the base keeps its place alone, so that the camera's pose has the axes of the world
     if not spec.turns:
         base[:, 3:] = quat_from_heading(np.zeros(len(base)))
     return np.asarray(pose_to_matrix(base), np.float64)
-
-
-def _smoothed(base: NDArray[np.float64], steps: float) -> NDArray[np.float64]:
-    """Root poses [T, 7] with position and heading smoothed over about ``steps`` steps."""
-    from scipy.ndimage import gaussian_filter1d
-
-    position = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
-    # an angle can be smoothed only where it does not jump by 2 pi
-    heading = gaussian_filter1d(np.unwrap(heading_from_quat(base[:, 3:])), steps / 2, mode="nearest")
-    return np.asarray(np.concatenate([position, quat_from_heading(heading)], axis=1), np.float64)
 
 
 def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:

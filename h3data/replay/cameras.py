@@ -86,7 +86,11 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
         track = third_person(replay, leader)
         return replace(track, camera=replace(track.camera, name=name_or_file.replace("/", ".")))
     if name_or_file in names and name_or_file.startswith("user."):
-        return _user(replay, name_or_file)
+        # the pose is a column of the recording, in Habitat's convention: looking along -z, y up
+        poses = (
+            pose_to_matrix(forward_fill(replay.recording.columns[name_or_file].astype(np.float64))) @ OPENGL_TO_OPENCV
+        )
+        return CameraTrack(camera=pinhole(640, 480, hfov_deg=90, name=name_or_file), poses=poses)
     mounted = _mounted(replay, name_or_file) if name_or_file in names or "/" in name_or_file else None
     if mounted is None:
         raise InputError(
@@ -151,12 +155,6 @@ HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0,
 """Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12
 """Distance of the near plane, which cuts the person's own face away [m]."""
-
-
-def _user(replay: Replay, column: str) -> CameraTrack:
-    """A camera whose pose is a column of the recording (Habitat's convention: looking along -z, y up)."""
-    poses = pose_to_matrix(forward_fill(replay.recording.columns[column].astype(np.float64))) @ OPENGL_TO_OPENCV
-    return CameraTrack(camera=pinhole(640, 480, hfov_deg=90, name=column), poses=poses)
 
 
 # --- from above ---------------------------------------------------------------------------------------------------------

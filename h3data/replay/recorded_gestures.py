@@ -12,9 +12,6 @@ BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
 """Kinds of the events that begin and end a gesture; the target of the first is the name of the activity."""
 RAMP_S = 0.8
 """Time in which the hands go from where they are to the gesture, and back before it ends."""
-APART_S = 1.9
-"""Time between the gestures of agents with successive numbers, so that people who talk to each other do not move alike
-[s]."""
 
 
 def recorded_gestures(recording: Recording, agent: int) -> Array | None:
@@ -42,7 +39,7 @@ def recorded_gestures(recording: Recording, agent: int) -> Array | None:
         rows = slice(begin, end)
         since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
         u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)
-        out[rows] = np.column_stack(
-            [np.full(len(u), NAMES.index(event.target)), since + APART_S * agent, smoothstep(u)]
-        )
+        # 1.9: time between the gestures of agents with successive numbers, so that people who talk to each
+        # other do not move alike [s]
+        out[rows] = np.column_stack([np.full(len(u), NAMES.index(event.target)), since + 1.9 * agent, smoothstep(u)])
     return out

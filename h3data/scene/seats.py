@@ -29,8 +29,6 @@ HEIGHTS_M = (0.2, 0.7)
 """Range of the heights of seats above the furniture's own floor."""
 LEAST_M = 0.2
 """Least width and depth of a seat."""
-BED_STEP_M = 0.6
-"""Distance between places to sit along the side of a bed, and the width of one place on a sofa."""
 ABOVE_M = 0.05
 """Shapes that rise above a seat by more than this stand in the way of the back."""
 
@@ -90,9 +88,11 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
     # the largest, because armrests and legs may have tops at the height of a seat too
     k = int(np.argmax(np.where(seat, size[:, 0] * size[:, 2], 0.0)))
     (x0, _, z0), (x1, y, z1) = boxes[k]
+    # distance between places to sit along the side of a bed, and the width of one place on a sofa
+    bed_step_m = 0.6
     if SEAT_SIDES[asset.category] == "sides":
         # not at the ends of the bed, where its head and foot are
-        count = max(int((z1 - z0) / BED_STEP_M) - 1, 1)
+        count = max(int((z1 - z0) / bed_step_m) - 1, 1)
         for along in np.linspace(z0, z1, count + 2)[1:-1]:
             yield np.array([x1, y, along]), np.pi / 2, x1 - x0
             yield np.array([x0, y, along]), -np.pi / 2, x1 - x0
@@ -101,7 +101,7 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
     above = (top > y + ABOVE_M) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
     # without a backrest, one sits as deep as the seat is
     back = float(boxes[above, 1, 2].max(initial=z0))
-    count = max(int((x1 - x0) / BED_STEP_M), 1)
+    count = max(int((x1 - x0) / bed_step_m), 1)
     for across in x0 + (np.arange(count) + 0.5) * (x1 - x0) / count:
         yield np.array([across, y, z1]), 0.0, z1 - back
 

@@ -30,8 +30,6 @@ from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 
 AnyActor = RobotActor | PersonActor
-TRACK_ROWS = 1024
-"""Rows that a track begins with; episodes of 750 steps never need more."""
 
 
 class GivingWay:
@@ -68,7 +66,8 @@ class GivingWay:
         self.touching: list[tuple[int, int]] = []
         """Pairs of agents that touched at the end of the last step."""
         self._moments = 1
-        self._places = np.empty((len(actors), TRACK_ROWS, 2))
+        # 1024: rows that a track begins with; episodes of 750 steps never need more
+        self._places = np.empty((len(actors), 1024, 2))
         """One track for each agent, of which the first `_moments` rows are filled."""
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz

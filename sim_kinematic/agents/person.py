@@ -61,20 +61,13 @@ CARRY = (0.27, 0.80, 0.15)
 """Position of a hand that carries something: forward, up, to its side, in heights of the shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
-JOINT_STEP_RAD = 0.18
-"""Largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed
-it."""
 EASE_M = 0.08
 """Part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
 """Distance from its palm within which a hand takes hold of an object [m]."""
-SETTLE_STEPS = 45
-"""Number of steps within which feet get to their standing places."""
 FADE_STEPS = 12
 """Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
-CLOSE_ENOUGH = 0.1
-"""Remaining distance from the carrying pose, as a share, at which a person begins to walk."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
@@ -84,8 +77,6 @@ REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
 which it changes in a step."""
 CLOSES_FROM = 0.8
 """Share of the path to a thing from which on a hand closes."""
-HANDLE_CURL = 0.9
-"""Bend of each joint of a finger around a handle [rad]."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
 """The hand sets off after this many steps at most, or when the head has less than this left to turn."""
@@ -302,7 +293,8 @@ class Person:
         """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
-        for _ in range(SETTLE_STEPS):
+        # 45: number of steps within which feet get to their standing places
+        for _ in range(45):
             if self.walk.stands:
                 return
             self.stride()
@@ -415,7 +407,8 @@ class Person:
             return _unreached(answer)
         yield from self._look(np.asarray(points, np.float64)[0])
         for share in self._move(hand, self._path_out(hand, local[0]), ends=(0.0, 1.0)):
-            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
+            # 0.9: bend of each joint of a finger around a handle [rad]
+            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else 0.9
             yield
         out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
         # up to the first point out of reach: a hand that has let go does not take hold again farther on
@@ -474,9 +467,12 @@ class Person:
             yield 0.0
         poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
-        if fastest > JOINT_STEP_RAD:
+        # largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a
+        # joint would exceed it
+        joint_step_rad = 0.18
+        if fastest > joint_step_rad:
             # how fast joints turn only the poses tell: the line is solved again, slower by the excess
-            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
+            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / joint_step_rad)
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
             # those of a reach look at the target at once: up to 480 degrees a second
@@ -627,7 +623,8 @@ class Person:
     def _take_close(self, hand: Hand) -> Generator[None, None, None]:
         """Stands until what a hand has taken is as close to the body as the room for turning and walking asks for."""
         for _ in range(FADE_STEPS):
-            if self._wanted_close(hand) <= self._close[hand] + CLOSE_ENOUGH:
+            # 0.1: remaining distance from the carrying pose, as a share, at which a person begins to walk
+            if self._wanted_close(hand) <= self._close[hand] + 0.1:
                 return
             self.stride()
             yield

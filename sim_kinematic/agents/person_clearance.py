@@ -30,11 +30,6 @@ REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "left": ("left_forearm", "left_hand"),
 }
 """Parts of the body that may be inside the thing on which the point lies, as an object on a shelf is taken from inside it."""
-WAYS_KEPT = 1000
-"""Paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for each height of its surfaces and
-each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
-ANSWERS_KEPT = 10_000
-"""Answers that are remembered, 300 bytes each."""
 
 
 class _Part(NamedTuple):
@@ -70,7 +65,8 @@ class BodyClearance:
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:
-            if len(self._answers) >= ANSWERS_KEPT:
+            # 10_000: answers that are remembered, 300 bytes each
+            if len(self._answers) >= 10_000:
                 self._answers.clear()
             self._answers[asked] = self._is_clear(stand, point, hand)
         return self._answers[asked]
@@ -95,7 +91,10 @@ class BodyClearance:
         # rounded: seen from stands of one ring the point differs by rounding alone
         seen = hand, tuple(np.round(local, 4).tolist())
         if seen not in self._ways:
-            if len(self._ways) >= WAYS_KEPT:
+            # 1000: paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for
+            # each height of its surfaces and each distance of a stand. With 200, half of the time of
+            # `is_clear` went into computing them again.
+            if len(self._ways) >= 1000:
                 self._ways.pop(next(iter(self._ways)))
             quats, pelvis = [], []
             for full in (False, True):

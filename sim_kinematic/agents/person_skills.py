@@ -31,12 +31,8 @@ from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.motion.stride import CREEP_MPS, Strider
 
-TURN_PATIENCE_STEPS = 10
-"""Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Number of steps in which a person cannot step aside without touching somebody, and number of steps that they then go back."""
-HALT_STEPS = 30
-"""Number of steps in which a walking person who is asked to turn comes to a stand."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
@@ -293,7 +289,8 @@ class PersonActor:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
         # turned away in mid-walk: the skill ends at a stand and not in the middle of a step
-        for _ in range(HALT_STEPS):
+        # 30: number of steps in which a walking person who is asked to turn comes to a stand
+        for _ in range(30):
             stands = self._gait.blend[0] == 0 and self.person.walk.stands
             if not self.turned_away or stands or (self.aside is not None and len(self.aside)):
                 break
@@ -342,7 +339,9 @@ class PersonActor:
             return 0
         if len(path):
             dx, dz = path[0] - self.xz
-            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), TURN_PATIENCE_STEPS)
+            # 10: steps for which a person waits for room to turn on the spot; after them they turn while
+            # walking
+            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), 10)
         # the turn has moved the root alone: the gait still has the old heading
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()

@@ -55,7 +55,6 @@ SEARCH = "nav_to_place"
 """Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
 ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT, SEARCH)
 """Skills in the order in which recordings of homes with doors and drawers number them."""
-_WITH_TARGET = (*SKILLS[:4], *OPENING_SKILLS, SEARCH)
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
@@ -252,7 +251,7 @@ class Objects:
             known = (*SKILLS, *(OPENING_SKILLS if self.joints else ()), *(() if self.sight is None else (SEARCH,)))
             # an error and no recorded reason: this is a mistake of the caller, not a state of the world
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
-        if skill not in _WITH_TARGET:
+        if skill not in (*SKILLS[:4], *OPENING_SKILLS, SEARCH):
             return ""
         if skill in OPENING_SKILLS:
             if not 0 <= k < len(self.joints):

@@ -464,7 +464,9 @@ class RightOfWay:
 
     def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
         """Returns where an agent is, and will be on the next metres of its path, [N, 2]."""
-        return np.vstack([walker.xz[None], _dots(first_of_path(self.path(walker), AVOIDANCE.asks_moving_m))])
+        path = first_of_path(self.path(walker), AVOIDANCE.asks_moving_m)
+        legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
+        return np.vstack([walker.xz[None], (np.concatenate(legs) if legs else path)])
 
 
 def aside_distance_m(a: Body, b: Body) -> float:
@@ -489,9 +491,3 @@ def _place(walker: Walker) -> tuple[float, float, float]:
     """Return ``(x, z, heading)`` of an agent in Python's floats, which compare faster than arrays."""
     x, z = walker.xz.tolist()
     return x, z, float(walker.heading)
-
-
-def _dots(path: NDArray) -> NDArray[np.float64]:
-    """Points on a path, at most `DOTS_M` apart."""
-    legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
-    return np.concatenate(legs) if legs else path

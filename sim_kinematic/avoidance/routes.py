@@ -19,8 +19,6 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace.free_space import line_of_sight
 from sim_kinematic.avoidance.spec import AVOIDANCE
 
-ROUNDING_M = 1e-6
-"""Margin for rounding errors within which `_flood` goes on, although it is where it has to get [m]."""
 NOWHERE = np.full(2, np.nan)
 
 
@@ -48,10 +46,12 @@ def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
     heap = [(0.0, si * nz + sj)]
     # somebody who stands at the goal shuts all cells there, and a search for it would cover the whole home
     is_open = math.isnan(goal[0])
+    # margin for rounding errors within which `_flood` goes on, although it is where it has to get [m]
+    rounding_m = 1e-6
     for a in range(nx if not is_open else 0):
         for b in range(nz if abs(origin[0] + (a + 0.5) * cell - goal[0]) < near + cell else 0):
             gap = math.hypot(origin[0] + (a + 0.5) * cell - goal[0], origin[1] + (b + 0.5) * cell - goal[1])
-            is_open |= gap <= near + ROUNDING_M and (not shut[a, b] or (a == si and b == sj))
+            is_open |= gap <= near + rounding_m and (not shut[a, b] or (a == si and b == sj))
     while is_open and len(heap) > 0:
         far, at = heapq.heappop(heap)
         if far > farthest:
@@ -62,8 +62,8 @@ def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
         if far > distance[i, j]:
             continue
         gap = math.hypot(origin[0] + (i + 0.5) * cell - goal[0], origin[1] + (j + 0.5) * cell - goal[1])
-        if gap <= near - ROUNDING_M:
-            farthest = min(farthest, far + gap + ROUNDING_M)
+        if gap <= near - rounding_m:
+            farthest = min(farthest, far + gap + rounding_m)
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 a, b = i + di, j + dj

@@ -16,8 +16,6 @@ from sim_kinematic.avoidance.velocity import ObstacleDisc
 
 NO_PATH = np.zeros((0, 2))
 """The path of an agent that goes nowhere."""
-IN_THE_WAY_M = AVOIDANCE.ahead_m + 2 * (AVOIDANCE.person.radius_m + AVOIDANCE.moving_m)
-"""Distance beyond which, added to twice the size of their own body, nobody is in a person's path [m]."""
 
 
 class ObservedAgent(NamedTuple):
@@ -103,7 +101,9 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -
     """Return the nearest agent that blocks a person at ``xz`` [2] who walks straight ``towards`` [2]."""
     here = xz.tolist()
     # most agents are too far away to block anybody, whatever they do
-    others = [o for o in others if math.dist(here, o.xz.tolist()) <= IN_THE_WAY_M + 2 * o.footprint.extent_m]
+    # Distance beyond which, added to twice the size of their own body, nobody is in a person's path [m].
+    in_the_way_m = AVOIDANCE.ahead_m + 2 * (AVOIDANCE.person.radius_m + AVOIDANCE.moving_m)
+    others = [o for o in others if math.dist(here, o.xz.tolist()) <= in_the_way_m + 2 * o.footprint.extent_m]
     if not others:
         return None
     leg_x, leg_z = (towards - xz).tolist()

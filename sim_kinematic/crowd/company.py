@@ -20,8 +20,6 @@ GAZE, COHESION, REPULSION = 4.0, 3.0, 1.0
 are too near [m/s2]."""
 AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
 """Place towards which members walk: its distance ahead, its largest distance beside the path, and its least room [m]."""
-TOO_NEAR_M = 0.8
-"""Members nearer than this repel each other."""
 VIEW_RAD = math.pi / 2
 """Angle to the others of a group beyond which a member turns the head and walks slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
@@ -37,8 +35,6 @@ CANDIDATES = 300
 """Number of places for a conversation that are compared."""
 PASSING_M, EDGE_M = 0.95, 0.25
 """Distances at which people pass those who stand and talk, and walls: both bodies with what feet reach ahead [m]."""
-CLOSED_M2 = 0.2
-"""Area of floor that a conversation may cut off from the rest [m2]."""
 
 
 @kernel(error_model="numpy")
@@ -88,7 +84,8 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         distance = max(math.hypot(px, pz), 1e-6)
         others += 1
         cx, cz = cx + px, cz + pz
-        if distance < TOO_NEAR_M:
+        # 0.8: members nearer than this repel each other
+        if distance < 0.8:
             rx, rz = rx - px / distance, rz - pz / distance
     if others == 0:
         return wx, wz
@@ -170,7 +167,8 @@ def standing_circle(
         closed = closed_area(free, places) if leaves_way else 0.0
         if closed < least:
             least, chosen = closed, (places, np.asarray(centres[k]))
-        if closed < CLOSED_M2:
+        # 0.2: area of floor that a conversation may cut off from the rest [m2]
+        if closed < 0.2:
             break
     return chosen
 

@@ -30,8 +30,6 @@ STUCK_PATHS, AWAY_M = 4, 1.0
 """Number of goals that people who are stuck compare, and the distance along the path at which they look for others [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
-WAY_M = 1.5
-"""Length of the path before people who are stuck on which those who stay in their way make room [m]."""
 VERSION = 2
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
@@ -310,7 +308,9 @@ class Crowd:
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
             count = self._counts[m]
-            ahead = self._along[m] + np.arange(0.0, WAY_M, PASSING_M / 4)
+            # 1.5: length of the path before people who are stuck on which those who stay in their way
+            # make room [m]
+            ahead = self._along[m] + np.arange(0.0, 1.5, PASSING_M / 4)
             way = np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
             near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
             self._until[standing[near]] = step

@@ -54,8 +54,6 @@ TABLE = np.array(list(REACTIONS.values()))
 """The numbers that the kernels take, [6, 9], by number of the reaction."""
 VIEW_RAD = math.radians(100.0)
 """Angle from the direction of their gaze up to which people see robots [rad]."""
-SIGHT_M = 0.05
-"""Distance from an obstacle to the line between two places below which it hides them from each other [m]."""
 
 
 @kernel(error_model="numpy")
@@ -66,7 +64,9 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
     while at < length:
         share = at / length
         clear = sample_sdf(sdf, origin, cell, ax + share * (bx - ax), az + share * (bz - az))
-        if clear < SIGHT_M:
+        # 0.05: distance from an obstacle to the line between two places below which it hides them from each
+        # other [m]
+        if clear < 0.05:
             return False
         # sphere tracing: nothing is nearer than ``clear``, so the line is free for as long
         at += max(clear, 0.05)

@@ -31,8 +31,6 @@ STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps and of turns before a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
 """Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
-SIDES_RAD = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
-"""Directions of this step relative to the seat's, in the order of trial. Feet that step farther sideways would hit the seat."""
 ROOM_M = 0.27
 """Least distance of that place from obstacles [m]."""
 DEPTH_M = 0.018
@@ -141,7 +139,9 @@ class Seats:
         sitting, heading = fit(self._body, seat), float(stand[2])
         shares = np.linspace(0, 1, 7)
         if self._is_clear(np.tile(stand, (len(shares), 1)), *sitting.pose(shares), depth_m=DEPTH_M):
-            for side in SIDES_RAD:
+            # directions of this step relative to the seat's, in the order of trial. Feet that step
+            # farther sideways would hit the seat.
+            for side in map(math.radians, (0, 20, -20, 40, -40)):
                 out = np.array([math.cos(heading + side), -math.sin(heading + side)])
                 for away in AWAY_M:
                     at = stand[:2] + away * out

@@ -275,7 +275,11 @@ def _make(
                 "Observations on a torch device are tensors by name. Hint: leave out flatten or device.",
                 code="H3-ENV-019",
             )
-        return _on_device(found, scenes, num_envs, device, agents, options)
+        # made by the entry of the task, or the one for any task
+        worlds, place = 1 if num_envs is None else num_envs, {"device": device, "agents": agents}
+        if found.name in DEVICE_ENVS.names():
+            return DEVICE_ENVS.get(found.name)(worlds, scenes, **place, **options)
+        return DEVICE_ENVS.get("any")(worlds, scenes, task=found, **place, **options)
     # imported here because they need Gymnasium, which worlds on a device do without
     from sim_kinematic.envs.stepper import FlatStepper, Options
     from sim_kinematic.envs.world_stepper import WorldStepper
@@ -330,13 +334,3 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
                 f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}",
                 code="H3-ENV-020",
             )
-
-
-def _on_device(
-    task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
-) -> Any:
-    """Return W worlds of a task on a torch device, made by the entry of the task or the one for any task."""
-    worlds, place = 1 if num_envs is None else num_envs, {"device": device, "agents": agents}
-    if task.name in DEVICE_ENVS.names():
-        return DEVICE_ENVS.get(task.name)(worlds, scenes, **place, **options)
-    return DEVICE_ENVS.get("any")(worlds, scenes, task=task, **place, **options)

@@ -25,7 +25,6 @@ from sim_kinematic.motion.step import push_out, wrap_angle
 
 PROGRESS_M = 0.02
 """The place on the path is sought in steps of this length."""
-PUSHES = 6
 CREEP_MPS, SHARP_RAD = 0.1, 0.6
 """Speed below which people walk in any direction at once, and change of direction for which they come to a stand."""
 FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
@@ -42,8 +41,6 @@ FACE_M, FACE_RAD = 0.6, 0.8
 arrived first and turned then stood turning in 3% of the steps of rearrangement."""
 STAIRS_SHARE = 0.5
 """Share of their speed with which people climb stairs, measured in the plan."""
-CORNER_M = 0.5
-"""Distance beyond the point that they walk towards at which people notice a corner [m]."""
 
 
 @kernel(error_model="numpy")
@@ -100,7 +97,7 @@ def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
 
     Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
     """
-    sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
+    sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, 6)
     moved = math.hypot(sx - x, sz - z)
     # being pushed out of a wall must not carry anybody farther than they walk
     share = min(most / moved, 1.0) if moved > 0.0 else 1.0
@@ -152,7 +149,8 @@ def stride_step(
         ahead = min(0.1, max(cumulative[k] - along, 0.0))
     tx, tz = point_along(path, cumulative, min(along + ahead, total))
     bearing = _bearing(x, z, heading, tx, tz)
-    fx, fz = point_along(path, cumulative, min(along + ahead + CORNER_M, total))
+    # 0.5: distance beyond the point that they walk towards at which people notice a corner [m]
+    fx, fz = point_along(path, cumulative, min(along + ahead + 0.5, total))
     bend = max(abs(bearing), abs(_bearing(x, z, heading, fx, fz)))  # they slow down before a corner
     closing = to_end < 2.0 * arrive and along + ahead >= total
     wanted = min(max(gain * bearing, -turn_rate), turn_rate)

@@ -36,12 +36,8 @@ ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 TRIES = 3
 """Number of failures at an object after which a planner goes on to the next."""
-REPLAN_STEPS = 15
-"""Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9
 """Distance to an object below which an agent may be about to take it [m]."""
-STRAIGHT_ON_STEPS = 10
-"""Number of steps over which the person's motion is extrapolated to find where they are going."""
 
 
 class HighLevelPolicy(Protocol):
@@ -182,7 +178,9 @@ class Chooser:
             return ""
         if view.held_by[action.target] not in (NOBODY, view.agent):
             return "object_taken"
-        if action.skill == "nav_to_object" and (view.close or view.step % REPLAN_STEPS == 0):
+        # 15: interval at which a robot that drives to an object chooses again [steps]; 1 while the person is
+        # close
+        if action.skill == "nav_to_object" and (view.close or view.step % 15 == 0):
             better = self.prefer(view, self._left(view))
             if better is not None and better != action.target:
                 return "agents_close" if view.close else "replanned"
@@ -213,7 +211,8 @@ def persons_object(view: RearrangeView) -> int:
         return int(held[0])
     some = range(len(view.objects))
     left = [k for k in some if not view.at_goal[k] and view.held_by[k] == NOBODY and view.is_known(k)]
-    before = view.other_track[max(len(view.other_track) - STRAIGHT_ON_STEPS, 0)]
+    # 10: number of steps over which the person's motion is extrapolated to find where they are going
+    before = view.other_track[max(len(view.other_track) - 10, 0)]
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:
         return -1

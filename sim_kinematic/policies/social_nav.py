@@ -231,16 +231,12 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
         [future[: EXPERT.escape_steps], np.repeat(future[-1:], max(EXPERT.escape_steps - len(future), 0), axis=0)]
     )
     if not view.met and view.geodesic_m > EXPERT.reach_m:
-        return _approach(view, spec, _meeting(view, spec, future))
+        # towards the first place on the person's path that the robot can reach before they leave it;
+        # to find the person it need only come within `EXPERT.reach_m` of them
+        soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + EXPERT.reach_m
+        in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
+        return _approach(view, spec, future[np.argmax(in_time)] if in_time.any() else view.human_xz)
     return _best_sample(view, spec, walk)
-
-
-def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the first place [2] on the person's path that the robot can reach before they leave it; else their place."""
-    # to find the person it need only come within `EXPERT.reach_m` of them
-    soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + EXPERT.reach_m
-    in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
-    return future[np.argmax(in_time)] if in_time.any() else view.human_xz
 
 
 def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64]) -> Velocity:

@@ -24,8 +24,6 @@ from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.state import NOBODY
 
 Flags = NDArray[np.bool_]
-EYE_SHARE = 0.936
-"""Height of a person's eyes as a share of their stature (Drillis and Contini 1966)."""
 HALF_VIEW = math.radians(55.0)
 """Largest angle on the floor plane between where an agent faces and what it sees [rad]."""
 THING_M, PLACE_M = 8.0, 5.0
@@ -36,8 +34,6 @@ LOOK_STEPS = 6
 """Steps from one look to the next."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
-MOVED_M = 0.1
-"""A thing farther than this from where it was seen has been moved [m]."""
 ABOVE_M = 0.08
 """Height above the surface of a place at which agents look at it [m]."""
 
@@ -133,7 +129,8 @@ class Sight:
             now, before = seen[:count] & ~self.hidden | (held_by == a), seen[count : 2 * count]
             # places that it does not know are NaN, and nothing has moved away from them
             with np.errstate(invalid="ignore"):
-                moved = np.linalg.norm(self.where[a] - positions, axis=1) > MOVED_M
+                # 0.1: a thing farther than this from where it was seen has been moved [m]
+                moved = np.linalg.norm(self.where[a] - positions, axis=1) > 0.1
             gone = self.known[a] & ~now & before & moved
             changes += [(a, k, True) for k in np.flatnonzero(now & ~self.known[a]).tolist()]
             changes += [(a, k, False) for k in np.flatnonzero(gone).tolist()]
@@ -199,7 +196,8 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
 def eye_height(body: Body) -> float:
     """Height of an agent's eyes over the floor [m]: of a robot, that of its highest camera at rest, else of its body's top."""
     if not isinstance(body, Robot):
-        return EYE_SHARE * body.height_m
+        # 0.936: height of a person's eyes as a share of their stature (Drillis and Contini 1966)
+        return 0.936 * body.height_m
     links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
     return max((float(body.camera_poses(c.name, links)[0, 1, 3]) for c in body.cameras), default=body.body_height_m)
 

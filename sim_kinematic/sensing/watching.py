@@ -19,8 +19,6 @@ SIDES = 12
 """Number of directions from which the camera may look."""
 OTHERS = 0.5
 """Weight of another agent in the picture relative to the agent itself."""
-IN_FRONT_M = 3.2
-"""Surfaces nearer to the camera than this are in front of the agent, which is 4.2 m away [m]."""
 
 
 class DebugRenderer:
@@ -44,7 +42,8 @@ class DebugRenderer:
         pixels = [np.isin(seen, drawn.instances(k)).sum(1) for k in range(len(drawn.bodies))]
         most = max(int(pixels[agent].max()), 1)
         others = sum((np.minimum(p / most, 1.0) for k, p in enumerate(pixels) if k != agent), np.zeros(SIDES))
-        is_open = 1 - ((depth > 0) & (depth < IN_FRONT_M)).mean(1)
+        # 3.2: surfaces nearer to the camera than this are in front of the agent, which is 4.2 m away [m]
+        is_open = 1 - ((depth > 0) & (depth < 3.2)).mean(1)
         score = pixels[agent] / most + OTHERS * others + is_open
         # only to a side that is clearly better, or the camera would jump back and forth
         if self._side < 0 or score[self._side] < score.max() - 0.25:

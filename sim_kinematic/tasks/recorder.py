@@ -43,8 +43,6 @@ from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
 """Number of rows that the sink gets at once: one second, which is what a crash may lose."""
-SHORT_M = 16.0
-"""Largest length of sensors that are recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
 
 
 class Sink(Protocol):
@@ -112,7 +110,9 @@ class RecordedSensors:
                     "high": _one(high.tolist()),
                 }
                 # 16 bits are fine enough for short lengths only, and halve the size of a scan of many rays
-                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
+                # 16.0: largest length of sensors that are recorded in 16 bits, which resolve 4 mm at
+                # 8 m [m]
+                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= 16.0
                 self._types[column] = np.float16 if short else np.float32
 
     @classmethod

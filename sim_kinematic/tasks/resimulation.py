@@ -20,8 +20,6 @@ from h3data.plugins import own_version
 from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_hash
 from h3data.scene import FreeSpace, Scene, load_scene
 
-_OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
-"""Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
 ADDED = ("metrics.collision_people", "metrics.collision_robots")
 """Columns of measurements that recordings of earlier versions lack."""
 
@@ -172,13 +170,18 @@ def origin(recording: Recording, step: int) -> dict[str, Any]:
 def header_from(recording: Recording, what: str) -> RecordingHeader:
     """Return a header with the same bodies, agents and files for an episode of its own; ``what`` makes its uid."""
     old = recording.episode
+    # entries of ``info`` on the origin of a recording, which do not hold for one made from it
     episode = replace(
         old,
         uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")),
         # this version writes the new recording, whichever wrote the old one
         schema_version=SCHEMA_VERSION,
         created_by=f"h3data {own_version()}",
-        info={k: v for k, v in old.info.items() if k not in _OF_THE_RUN},
+        info={
+            k: v
+            for k, v in old.info.items()
+            if k not in ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
+        },
     )
     return RecordingHeader(
         episode=episode,

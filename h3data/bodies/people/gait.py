@@ -160,7 +160,10 @@ def gait_posture(
         own = (phase - start) % 1.0
         ankle[:, k], foot[:, k, 0] = _foot_path(style, legs.feet[k], legs.ankle_height, stride, scale, own, p, loose)
         ankle[:, k, 0] = sign * legs.half_width
-        foot[:, k, 2] = _toe_bend(style, own, foot[:, k, 0])
+        # toe joints are flat on the floor while the heel is up, and relax over the first third of the swing
+        pitch = foot[:, k, 0]
+        u = np.clip((own - style.stance) / (0.35 * (1 - style.stance)), 0, 1)
+        foot[:, k, 2] = (1 - 0.85 * u * u * (3 - 2 * u)) * np.maximum(-pitch, 0)
         # arms swing against the leg of their side, a little late
         swing = -np.cos(2 * np.pi * (phase - start) - 0.15)
         flexion = (style.arm_mean + style.arm_swing * swing) * scale
@@ -252,12 +255,6 @@ def _foot_path(
     swing[:, 1] += scale * (p["lift"] * bump + p["lift_skew"] * skew)
     swing[:, 2] += scale * (p["reach"] * bump + p["reach_skew"] * skew)
     return np.where((phase < stance)[:, None], on_floor, swing), pitch
-
-
-def _toe_bend(style: GaitStyle, phase: Array, pitch: Array) -> Array:
-    """Toe joint angle [deg]: flat on the floor while the heel is up, relaxing over the first third of the swing."""
-    u = np.clip((phase - style.stance) / (0.35 * (1 - style.stance)), 0, 1)
-    return (1 - 0.85 * u * u * (3 - 2 * u)) * np.maximum(-pitch, 0)
 
 
 def _set_trunk(quats: Array, yaw: Array, listing: Array, lean: float) -> None:

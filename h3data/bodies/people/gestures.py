@@ -93,8 +93,6 @@ POLE = (-0.35, -0.8, 0.45)
 """Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
 """Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""
-HEAD_SHARES = (("neck", 0.45), ("head", 0.55))
-"""Parts of the joints in the lowering of the head."""
 
 
 def wrists_at(gesture: Gesture, seconds: ArrayLike) -> Array:
@@ -139,7 +137,8 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
         gesture = GESTURES[NAMES[number]]
         rows = np.flatnonzero((gestures[:, 0] == number) & (gestures[:, 2] > 0))
         weight = np.clip(gestures[rows, 2], 0.0, 1.0)
-        for name, part in HEAD_SHARES:
+        # parts of the joints in the lowering of the head
+        for name, part in (("neck", 0.45), ("head", 0.55)):
             lowered = quat_from_matrix(rotation(X, part * gesture.head_deg))
             turned = np.broadcast_to(quat_multiply(lowered, quats[rows, JOINT_INDEX[name]]), (len(rows), 4))
             quats[rows, JOINT_INDEX[name]] = quat_nlerp(quats[rows, JOINT_INDEX[name]], turned, weight)

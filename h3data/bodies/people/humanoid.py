@@ -45,8 +45,6 @@ from h3data.mesh.mesh import Mesh
 if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
 
-LOD_BELOW_PX = 220.0
-"""Height in a picture [px] up to which a person is drawn with the light mesh, whose error (4 mm) is then below half a pixel."""
 BONE_BOX_M, BONE_PAD_M, BONE_PAD_PART = 0.02, 0.02, 1 / 25
 """Width of Habitat's collision boxes, and the distance by which they end before the joints (spec/habitat.md 1.6)."""
 
@@ -281,7 +279,9 @@ class Humanoid:
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
         """Returns whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
         # the height in the picture, focal * height / distance, without dividing by a distance of 0
-        return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
+        # 220.0: height in a picture [px] up to which a person is drawn with the light mesh, whose error (4
+        # mm) is then below half a pixel
+        return focal_px * self.height_m < 220.0 * max(distance_m, 1e-6)
 
     def __repr__(self) -> str:
         return (

@@ -179,7 +179,14 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
     else:
         common = builtin_common()
         places = {"capsule_names": common.capsule_names, "capsule_joints": common.capsule_joints}
-        drawn = _dressed_meshes(data, common, outfit)
+        vertices = (common.base_mean + from_planes(data["base_delta"])) * np.float32(VERTEX_UNIT_M)
+        normals = vertex_normals(vertices, common.base_faces)
+        look = read_look(str(data["look"]))
+        worn = outfit or look.outfit
+        meshes = {
+            detail: dressed(builtin_wardrobe(), look, worn, vertices, normals, detail) for detail in ("full", "lod")
+        }
+        drawn = {**meshes, "region_names": SLOTS, "outfit": worn}
     return Humanoid(
         name=str(data["name"]) + (f"{SEPARATOR}{outfit}" if outfit else ""),
         height_m=height,
@@ -205,15 +212,6 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
         ),
         phenotype=json.loads(str(data["phenotype"])),
     )
-
-
-def _dressed_meshes(data: Arrays, common: _Common, outfit: str) -> dict[str, Any]:
-    vertices = (common.base_mean + from_planes(data["base_delta"])) * np.float32(VERTEX_UNIT_M)
-    normals = vertex_normals(vertices, common.base_faces)
-    look = read_look(str(data["look"]))
-    worn = outfit or look.outfit
-    meshes = {detail: dressed(builtin_wardrobe(), look, worn, vertices, normals, detail) for detail in ("full", "lod")}
-    return {**meshes, "region_names": SLOTS, "outfit": worn}
 
 
 def legs_from_offsets(offsets: Array, feet: Array, ankle_height: float) -> Legs:

@@ -22,8 +22,6 @@ SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
 """Name, sign of x, phase of the heel strike."""
 LEG_MAX = 0.9985
 """A leg is never stretched further than this share of its length."""
-HALF_WIDTH = 0.55
-"""Half step width as a share of the hip joints' half distance, the same standing and moving: a first step needs no shuffle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +61,9 @@ class Legs:
     @property
     def half_width(self) -> float:
         """Half of the distance between the feet [m]."""
-        return HALF_WIDTH * float(abs(self.hips[0, 0]))
+        # 0.55: half step width as a share of the hip joints' half distance, the same standing and moving: a
+        # first step needs no shuffle
+        return 0.55 * float(abs(self.hips[0, 0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

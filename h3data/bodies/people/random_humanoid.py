@@ -29,12 +29,7 @@ from h3data.geometry import add_up
 PREFIX = "random:"
 SHAPE_SPACE = "bodies/shape_space.toml"
 DIRECTIONS = 10
-ADULT_AGE = (0.6, 1.0)
-"""Range of the age of an adult phenotype; children are below it, and 1 is the oldest."""
 ADULT_HEIGHT_M = (1.5, 1.95)
-LARGEST_SUM = 2.2
-"""Largest sum of the absolute weights of all bodies, which themselves sum to 1: a combination is nearer to the built-in ones
-the smaller it is."""
 COMBINED = (
     "bind_rotation",
     "bind_position",
@@ -126,6 +121,8 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
 def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequence[float]) -> list[float]:
     """Returns the weight of each built-in body in a person; they sum to 1, and some are negative."""
     directions = _shape_space().directions
+    # range of the age of an adult phenotype; children are below it, and 1 is the oldest
+    adult_age = (0.6, 1.0)
     while True:
         steps = rng.standard_normal(len(directions)).tolist()
         weights = [
@@ -133,8 +130,10 @@ def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequenc
             for k in range(len(ages))
         ]
         age, height = (add_up(w * v for w, v in zip(weights, of, strict=True)) for of in (ages, heights_m))
-        of_adult = ADULT_AGE[0] <= age <= ADULT_AGE[1] and ADULT_HEIGHT_M[0] <= height <= ADULT_HEIGHT_M[1]
-        if of_adult and add_up(map(abs, weights)) <= LARGEST_SUM:
+        of_adult = adult_age[0] <= age <= adult_age[1] and ADULT_HEIGHT_M[0] <= height <= ADULT_HEIGHT_M[1]
+        # 2.2: largest sum of the absolute weights of all bodies, which themselves sum to 1: a combination is
+        # nearer to the built-in ones the smaller it is
+        if of_adult and add_up(map(abs, weights)) <= 2.2:
             return weights
 
 

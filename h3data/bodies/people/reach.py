@@ -45,10 +45,6 @@ ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
 """The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
-ARM_RADIUS = 0.026
-"""Radius of forearm and hand for the clearance, as a share of the shoulder's height."""
-INSET = 0.02
-"""Share of the path inside the valid volume by which advice keeps away from its border."""
 _TRIED = 24
 """Nearest table points from which the nearest valid one is sought."""
 _OBSTACLES = {
@@ -305,7 +301,8 @@ class ReachSolver:
             middle = (low + high) / 2
             good = self.reachable(starts + middle * (ends - starts))[:, None]
             low, high = np.where(good, middle, low), np.where(good, high, middle)
-        inner = np.maximum(low - INSET, 0) * (ends - starts) + starts
+        # 0.02: share of the path inside the valid volume by which advice keeps away from its border
+        inner = np.maximum(low - 0.02, 0) * (ends - starts) + starts
         # valid points need not be convex: one a little further inside may be invalid again
         fine = self.reachable(inner)[:, None]
         return np.where(fine, inner, starts)
@@ -342,6 +339,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
     obstacles = [c for c in body.capsules if c.name in _OBSTACLES]
     legs, ankles = body.gaits.legs, frames[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]], :3, 3]
     scale = _shoulder(body)
+    # 0.026: radius of forearm and hand for the clearance, as a share of the shoulder's height
     return ReachBody(
         scale=scale,
         sign=sign,
@@ -356,7 +354,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
         palm=grasp_point(body, hand),
         obstacles=np.array([[*c.start, *c.end, c.radius] for c in obstacles]).reshape(-1, 7),
         obstacle_joints=np.array([_OBSTACLES[c.name] for c in obstacles], np.int64),
-        arm_radius=ARM_RADIUS * scale,
+        arm_radius=0.026 * scale,
     )
 
 

@@ -36,36 +36,18 @@ if TYPE_CHECKING:
 
 SINK_M = 0.005
 """Depth by which a seat gives way under the hips; all other skin is as deep in it at most."""
-KNEE_AHEAD_M = 0.04
-"""Distance by which the knees of a seated person are ahead of the ankles."""
-BUTTOCKS_M = 0.03
-"""Skin that is further ahead of the pelvis than this does not carry: thighs that slope down would lift the body."""
-STEEPEST = 0.75
-"""Greatest slope of the thighs, as the share of their length by which hips and knees differ in height."""
-SEATED_DEG = (("pelvis", -14.0), ("spine1", 5.0), ("spine2", 4.0), ("spine3", 3.0), ("neck", 2.0), ("head", 2.0))
-"""Pitch of each joint of the trunk of a seated person, forward positive."""
 LEAN_DEG, LEAN_EARLY = 44.0, 0.8
 """Greatest lean of the trunk between standing and sitting, and the exponent that moves it towards standing."""
-LEAN_SHARES = (("pelvis", 0.62), ("spine1", 0.14), ("spine2", 0.14), ("spine3", 0.1), ("neck", -0.25), ("head", -0.25))
-"""Parts of the joints in the lean; neck and head keep the eyes nearly ahead."""
 BACK_FIRST, DOWN_LATE = 1.7, 1.2
 """Exponents by which the hips go back before they go down."""
-ARMS_BY = 0.6
-"""Share of the path at which the hands are on the thighs: hanging, they would go through the seat."""
 PATH_SHARES = np.linspace(0.4, 1.0, 13)
 """Shares of the path at which the front edge is kept out of the body."""
-PATH_SINK_M = 0.012
-"""Depth by which skin may be behind the front edge on the path [m]."""
 HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
-ELBOWS = (-0.6, -0.2, 0.55)
-"""Direction of the elbows: back, down and outwards."""
 TABLE = 61
 """Poses between standing and sitting that are computed for one seat; between them they are interpolated."""
-EARLY = 0.05
-"""Share of the path over which a standing person's own pose goes over into it."""
 _ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
 
 
@@ -96,7 +78,15 @@ class Sitting:
         mixed = quat_nlerp(stand.quats.reshape(-1, 4), np.tile(quats, (len(share), 1)), weight)
         mixed = mixed.reshape(stand.quats.shape)
         lean = LEAN_DEG * np.sin(np.pi * share**LEAN_EARLY)
-        for name, part in LEAN_SHARES:
+        # parts of the joints in the lean; neck and head keep the eyes nearly ahead
+        for name, part in (
+            ("pelvis", 0.62),
+            ("spine1", 0.14),
+            ("spine2", 0.14),
+            ("spine3", 0.1),
+            ("neck", -0.25),
+            ("head", -0.25),
+        ):
             own = quat_from_matrix(rotation(X, part * lean))
             mixed[:, JOINT_INDEX[name]] = quat_multiply(own, mixed[:, JOINT_INDEX[name]])
         # back before down: the weight stays over the feet
@@ -105,7 +95,8 @@ class Sitting:
         mixed, path = _in_root(self.body, Posture(quats=mixed, pelvis=path, ankle=stand.ankle, foot=stand.foot))
         roots = np.tile(IDENTITY_POSE, (len(share), 1))
         laid = _hands_on_thighs(self.body, self.body.joint_matrices(roots, mixed, path))
-        early = np.repeat(np.minimum(share / ARMS_BY, 1.0), len(_ARMS))
+        # 0.6: share of the path at which the hands are on the thighs: hanging, they would go through the seat
+        early = np.repeat(np.minimum(share / 0.6, 1.0), len(_ARMS))
         hanging = mixed[:, _ARMS].reshape(-1, 4)
         mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), smoothstep(early)).reshape(laid.shape)
         return mixed, path
@@ -147,7 +138,8 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
         at = seats[own, 1] * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
         share = (at - low)[:, None]
-        early = smoothstep(np.minimum(seats[own, 1] / EARLY, 1.0))[:, None]
+        # 0.05: share of the path over which a standing person's own pose goes over into it
+        early = smoothstep(np.minimum(seats[own, 1] / 0.05, 1.0))[:, None]
         quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
         place = places[low] + share * (places[low + 1] - places[low])
         pelvis[own] += early * (place - pelvis[own])
@@ -163,11 +155,15 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     legs = body.gaits.legs
     stand = stand_posture(legs)
     quats = stand.quats[0].copy()
-    for name, angle in SEATED_DEG:
+    # pitch of each joint of the trunk of a seated person, forward positive
+    seated_deg = (("pelvis", -14.0), ("spine1", 5.0), ("spine2", 4.0), ("spine3", 3.0), ("neck", 2.0), ("head", 2.0))
+    for name, angle in seated_deg:
         quats[JOINT_INDEX[name]] = quat_from_matrix(rotation(X, angle))
-    hips = rotation(X, SEATED_DEG[0][1]) @ legs.hips[0]
+    hips = rotation(X, seated_deg[0][1]) @ legs.hips[0]
     ankle = stand.ankle[0, 0]
-    knee_y = ankle[1] + np.sqrt(legs.shank**2 - KNEE_AHEAD_M**2)
+    # distance by which the knees of a seated person are ahead of the ankles
+    knee_ahead_m = 0.04
+    knee_y = ankle[1] + np.sqrt(legs.shank**2 - knee_ahead_m**2)
     pelvis = np.array([0.0, seat_m + 0.1, 0.0])
     of_hips = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
     seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], of_hips)
@@ -177,24 +173,30 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         # the hip joints are further apart than the feet, so the thighs go a little inwards
         aside = abs(hips[0]) - abs(ankle[0])
         flat = legs.thigh**2 - drop**2 - aside**2
-        if not (np.isfinite(drop) and abs(drop) <= STEEPEST * legs.thigh):
+        # 0.75: greatest slope of the thighs, as the share of their length by which hips and knees differ in
+        # height
+        if not (np.isfinite(drop) and abs(drop) <= 0.75 * legs.thigh):
             raise InputError(
                 f"{body.name} cannot sit with the feet on the floor on a seat at {seat_m:.2f} m. Expected about "
                 f"{knee_y - 0.2:.2f} to {knee_y + 0.15:.2f} m.",
                 code="H3-BODY-178",
             )
-        pelvis[2] = ankle[2] + KNEE_AHEAD_M - np.sqrt(flat) - hips[2]
+        pelvis[2] = ankle[2] + knee_ahead_m - np.sqrt(flat) - hips[2]
         posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
         # from the agent root's axes, forward, up and right, to right, up and forward
         vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
-        under = seat_skin & (vertices[:, 2] < pelvis[2] + BUTTOCKS_M)
+        # 0.03: skin that is further ahead of the pelvis than this does not carry: thighs that slope down
+        # would lift the body
+        under = seat_skin & (vertices[:, 2] < pelvis[2] + 0.03)
         pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
     skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
-    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
+    # depth by which skin may be behind the front edge on the path [m]
+    path_sink_m = 0.012
+    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, path_sink_m, SINK_M)[:, None]
     # skin below the height of the seat would be in it if the edge were further forward
-    edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
+    edge = float(ahead[skin[..., 1] < seat_m - path_sink_m].min())
     return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))
 
 
@@ -214,7 +216,13 @@ def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:
         target = places[:, hip] + HAND_ALONG * thigh - HAND_OVER_M * normalized(over)
         target[:, 2] -= sign * HAND_OUT_M
         targets.append(target)
+    # direction of the elbows: back, down and outwards
     turns = bend_arms(
-        body.joint_offsets, frames, np.stack(targets, 1), pole=ELBOWS, twist_deg=TWIST_DEG, wrist_deg=WRIST_DEG
+        body.joint_offsets,
+        frames,
+        np.stack(targets, 1),
+        pole=(-0.6, -0.2, 0.55),
+        twist_deg=TWIST_DEG,
+        wrist_deg=WRIST_DEG,
     )
     return turns.reshape(-1, len(_ARMS), 4)

@@ -18,9 +18,6 @@ from h3data.bodies.robots.robot import Robot
 from h3data.errors import InputError
 from h3data.geometry import pose_inverse, pose_multiply, pose_to_matrix
 
-ROTATION_WEIGHT_M = 0.25
-"""An error of one radian counts as much as this one of position: about half the length of an arm."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IkResult:
@@ -102,6 +99,7 @@ def solve_ik(
     # the kernel improves postures in place
     out = start.copy()
     errors = np.empty((len(start), 2))
+    # 0.25: an error of one radian counts as much as this one of position: about half the length of an arm
     solve_targets(
         targets,
         oriented,
@@ -115,7 +113,7 @@ def solve_ik(
         free,
         robot.lower,
         robot.upper,
-        ROTATION_WEIGHT_M,
+        0.25,
         tolerance_m,
         tolerance_rad,
         iterations,

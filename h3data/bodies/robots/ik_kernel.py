@@ -10,12 +10,8 @@ from numpy.typing import NDArray
 from h3data.bodies.robots.kinematics import SLIDES, TURNS
 from h3data.kernels import kernel, kernel_part
 
-MAX_STEP = 0.6
-"""Longest move of a joint in one step of the search [rad or m]."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
 """Damping at the start, and its limits, in the unit of the squared singular values of the Jacobian, to which it is added."""
-GIVE_UP = 1e-3
-"""A start is given up when a step takes away less than this fraction of the error, `PATIENCE` times."""
 PATIENCE = 4
 FREE_RANGE = math.pi
 """Greatest distance from 0 at which a joint without limits begins a new attempt."""
@@ -156,9 +152,11 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
     longest = 0.0
     for c in free:
         longest = max(longest, abs(move[c]))
+    # longest move of a joint in one step of the search [rad or m]
+    max_step = 0.6
     # all joints by one factor, which keeps the direction of the step
-    if longest > MAX_STEP:
-        move *= MAX_STEP / longest
+    if longest > max_step:
+        move *= max_step / longest
 
 
 @kernel_part()
@@ -227,7 +225,9 @@ def solve_targets(
                 next_cost = next_error @ next_error
                 # Levenberg and Marquardt: a step that helps is taken and damps less, any other is taken back
                 if next_cost < cost:
-                    slow = slow + 1 if next_cost > (1 - GIVE_UP) * cost else 0
+                    # 1e-3: a start is given up when a step takes away less than this fraction of
+                    # the error, `PATIENCE` times
+                    slow = slow + 1 if next_cost > (1 - 1e-3) * cost else 0
                     cost, damping = next_cost, max(damping * 0.2, LEAST_DAMPING)
                     here[:] = there
                     ends[:] = next_ends

@@ -32,9 +32,6 @@ from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
 from h3data.mesh.primitives import box_mesh, round_mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
-Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""URDF base frame (x forward, y left, z up) to agent root axes (x forward, y up, z right)."""
-
 
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in: bool = True) -> Robot:
     """Loads a robot once and shares it until its files change.
@@ -191,7 +188,8 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
     leaders = [None if j is None else j.mimic for j in joints]
     # numbers of `kinematics`, which would import numba: robots can be read without it
     kinds = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2, "spherical": 3}
-    to_base = Z_UP_TO_ROOT.copy() if up == "z" else np.eye(4)
+    # URDF base frame (x forward, y left, z up) to agent root axes (x forward, y up, z right)
+    to_base = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]) if up == "z" else np.eye(4)
     to_base[1, 3] = settings.base_height_m
     return Robot(
         name=urdf.name,

@@ -16,8 +16,6 @@ from h3data.bodies.robots.urdf_parts import UrdfGeometry
 
 log = logging.getLogger(__name__)
 
-THICKNESS_M = 0.04
-"""Least side of a box."""
 REACH_M = 0.6
 """Distance of a joint beyond which a child is a sensor or a frame on the floor rather than the end of the link [m]."""
 
@@ -61,7 +59,8 @@ def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
         )
         points += list((link.inertial[:3, :3] @ corners).T + link.inertial[:3, 3])
     low, high = np.min(points, axis=0), np.max(points, axis=0)
-    spare = np.maximum(THICKNESS_M - (high - low), 0.0) / 2
+    # 0.04: least side of a box
+    spare = np.maximum(0.04 - (high - low), 0.0) / 2
     low, high = low - spare, high + spare
     origin = np.eye(4)
     origin[:3, 3] = (low + high) / 2

@@ -67,9 +67,6 @@ class TrotSpec:
 
 TROT = TrotSpec()
 
-_BLOCK_STEPS = 4096
-"""Worked out at once: the matrices of a long track would take a hundred times its memory."""
-
 
 def trot(
     robot: Robot,
@@ -103,14 +100,16 @@ def trot(
     there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1) & is_turned
     jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > TROT.jump_m
     begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
+    # worked out at once: the matrices of a long track would take a hundred times its memory
+    block_steps = 4096
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
         if there[first]:
             track = bases[first:last]
             heading, way = _headings_and_way(track, feet)
             lean = _lean(robot, track) if len(heights) else np.zeros(len(track))
             cycles = _cycles(way)
-            for start in range(0, len(track), _BLOCK_STEPS):
-                rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
+            for start in range(0, len(track), block_steps):
+                rows = np.arange(start, min(start + block_steps, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
                 places = _feet(track, heading, way, cycles, feet, rows, heights, lean)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]

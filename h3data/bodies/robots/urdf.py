@@ -37,7 +37,6 @@ from h3data.geometry import Array
 
 __all__ = ["Urdf", "UrdfGeometry", "UrdfJoint", "UrdfLink", "UrdfMimic", "UrdfPart", "read_urdf"]
 
-_log = logging.getLogger(__name__)
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
 MAX_BYTES = 16 << 20
@@ -141,7 +140,7 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
         raise FormatError(f"Not a usable URDF: {'; '.join(issues.faults[:8])}. File: {path}", code="H3-BODY-114")
     if issues.warnings and warn:
         rest = f" and {len(issues.warnings) - 6} more" if len(issues.warnings) > 6 else ""
-        _log.warning("%s: %s%s. File: %s", path.stem, "; ".join(issues.warnings[:6]), rest, path)
+        logging.getLogger(__name__).warning("%s: %s%s. File: %s", path.stem, "; ".join(issues.warnings[:6]), rest, path)
     missing = missing_meshes(links)
     if missing and not allow_missing:
         raise MissingAssetError(

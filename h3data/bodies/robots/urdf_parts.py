@@ -21,10 +21,6 @@ from h3data.mesh.mesh import Mesh
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
 """Kinds of files that a URDF may name; nothing else is ever opened for it."""
-MAX_PATH = 1024
-MAX_LEVELS = 7
-"""The folder of the URDF and those above it in which packages are looked for."""
-CLIMBS = "expected a path that climbs at most two folders above the URDF"
 PLANE_SIDE_M = 30.0
 PLANE_THICKNESS_M = 0.1
 
@@ -229,18 +225,21 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
     if not filename.strip():
         issues.warnings.append(f"{where}: its mesh has no file name, it is left out")
         return None
-    scheme, _, rest = filename[:MAX_PATH].strip().replace("\\", "/").rpartition("://")
+    max_path = 1024
+    scheme, _, rest = filename[:max_path].strip().replace("\\", "/").rpartition("://")
     scheme = scheme.lower()
     here = Path(os.path.abspath(folder))
-    above = [p for p in (here, *here.parents) if p != p.parent][:MAX_LEVELS] or [here]  # never the root of the disk
+    # 7: the folder of the URDF and those above it in which packages are looked for
+    above = [p for p in (here, *here.parents) if p != p.parent][:7] or [here]  # never the root of the disk
     # packages have their URDFs in a folder beside that of the meshes, so paths climb a little
     top = above[min(2, len(above) - 1)]
     fault = None
     if scheme not in ("", "file", "package", "model"):
         fault = "expected the path of a file"
-    elif len(filename) > MAX_PATH:
-        fault = f"expected at most {MAX_PATH} characters"
+    elif len(filename) > max_path:
+        fault = f"expected at most {max_path} characters"
     file = folder / rest
+    climbs = "expected a path that climbs at most two folders above the URDF"
     if fault is None and scheme in ("package", "model"):
         name, _, inner = rest.partition("/")
         found = _packages(unquote(name), above)
@@ -251,7 +250,7 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
             for b in bases
             for t in _spellings(inner)
         ):
-            fault = "expected a path that stays in its package" if found or called else CLIMBS
+            fault = "expected a path that stays in its package" if found or called else climbs
         else:
             file = next((f for base in bases if (f := _on_disk(base, inner)) is not None), bases[0] / inner)
             if called:
@@ -267,7 +266,7 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
             file = _by_tail(rest, folder, above)
             issues.warnings.append(f"{where}: {filename[:80]!r} is a path of another machine, {file} is taken for it")
         elif not all(Path(os.path.abspath(folder / t)).is_relative_to(top) for t in _spellings(rest)):
-            fault = CLIMBS
+            fault = climbs
         else:
             file = _on_disk(folder, rest) or file
     if fault is None and not rest.lower().endswith(MESH_SUFFIXES):

@@ -15,8 +15,6 @@ CONFIG_ENDING = ".object_config.json"
 ASSETS_VARIABLE = "H3DATA_ASSETS"
 """Environment variable with the default asset folders, separated as in PATH."""
 
-_ALIASES = ("data/fpss", "data/scene_datasets/hssd-hab", "data/scene_datasets/fphab", "hssd-hab")
-"""Folder names under which the same files have been published (spec/habitat.md 6.6)."""
 
 _TELLING = re.compile(r"[0-9a-f]{12,}|\d{3,}|\d+-\d+")
 
@@ -60,9 +58,11 @@ class AssetFolders:
 
     def _candidates(self, path: str) -> Iterable[Path]:
         names = [path]
-        for alias in _ALIASES:
+        # folder names under which the same files have been published (spec/habitat.md 6.6)
+        aliases = ("data/fpss", "data/scene_datasets/hssd-hab", "data/scene_datasets/fphab", "hssd-hab")
+        for alias in aliases:
             if path.startswith(alias + "/"):
-                names += [other + path[len(alias) :] for other in _ALIASES if other != alias]
+                names += [other + path[len(alias) :] for other in aliases if other != alias]
                 names.append(path[len(alias) + 1 :])  # the root is the dataset's own folder
         names += [n.removeprefix("data/") for n in names if n.startswith("data/")]
         for root in self.roots:

@@ -20,8 +20,6 @@ from h3data.recording.records import AssetRef, Body
 from h3data.scene.records import Scene
 from h3data.scene.sources import object_mesh
 
-_log = logging.getLogger(__name__)
-
 OWN_FOLDER_ENDING = ".assets"
 """Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
 EMPTY_URI = "primitive:empty"
@@ -154,5 +152,5 @@ class AssetLibrary:
     def _note_unreadable(self, uri: str, reason: str) -> None:
         # once for each file, as the mesh is asked for again with every body that has it
         if uri not in self.unreadable:
-            _log.warning("asset cannot be used: %s", reason)
+            logging.getLogger(__name__).warning("asset cannot be used: %s", reason)
             self.unreadable[uri] = reason

@@ -14,8 +14,6 @@ from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
 CHUNK_S = 10.0
 """Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part."""
-_WORTH_BYTES = 20
-"""Saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our simulations."""
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
@@ -52,7 +50,9 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
     first, second, both = (
         len(zstandard.compress(rows[a:b].tobytes(), 1)) for a, b in ((start, middle), (middle, stop), (start, stop))
     )
-    return first + second - both > _WORTH_BYTES * (stop - start)
+    # 20: saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our
+    # simulations
+    return first + second - both > 20 * (stop - start)
 
 
 class CutRecording:

@@ -10,9 +10,6 @@ from typing import IO
 
 from h3data.errors import InputError
 
-MOST_HELD = 1 << 20
-"""Number of bytes that may wait for a `Backlog.flush` while the disk accepts data."""
-
 
 def part_path(path: Path) -> Path:
     """Name of a file while it is being written."""
@@ -41,7 +38,8 @@ class Backlog:
         self._end += len(data)
         # not left to the next flush where the disk takes it: without one for long, all of it would gather in
         # memory
-        if len(self._left) >= MOST_HELD:
+        # number of bytes that may wait for a `Backlog.flush` while the disk accepts data
+        if len(self._left) >= 1 << 20:
             with contextlib.suppress(OSError):  # `flush` says so
                 self._hand_over()
         return len(data)

@@ -184,14 +184,6 @@ def _plain(message: Any) -> dict[str, Any]:
     return out
 
 
-def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
-    spans: dict[int, SkillSpan] = {}
-    # a later message with the same number replaces the earlier one, which said that the skill was running
-    for message in _messages(log, "/h3/skill"):
-        spans[message.span] = struct_from_dict("Skill", _plain(message))
-    return tuple(spans[k] for k in sorted(spans))
-
-
 def columns_of(
     log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
 ) -> dict[str, NDArray[Any]]:
@@ -276,11 +268,15 @@ def assemble(
                 f"The topics lack columns that the layout announces: {', '.join(lost)}.", code="H3-RECORDING-030"
             )
         columns = ordered(columns, [c.name for c in layout])
+    spans: dict[int, SkillSpan] = {}
+    # a later message with the same number replaces the earlier one, which said that the skill was running
+    for message in _messages(log, "/h3/skill"):
+        spans[message.span] = struct_from_dict("Skill", _plain(message))
     return Recording(
         episode=episode,
         **scene,
         columns=columns,
-        skills=_skills(log),
+        skills=tuple(spans[k] for k in sorted(spans)),
         events=tuple(struct_from_dict("Event", _plain(m)) for m in _messages(log, "/h3/event")),
         inputs=tuple(struct_from_dict("Input", _plain(m)) for m in _messages(log, "/h3/input")),
         attachments=log.attachments,

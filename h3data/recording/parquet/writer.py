@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import pyarrow as pa
 
@@ -117,7 +117,15 @@ class DatasetWriter:
                 self.commit()
             # everything that can be refused comes before the first byte, so that the shard is not spoiled by
             # it
-            row = _episode_row(recording, layout)
+            row = {**episode_to_dict(recording.episode), "columns": layout_to_json(layout)}
+            try:
+                for value in row.values():
+                    pa.scalar(value)
+            except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
+                raise InputError(
+                    f"Episode {recording.episode.episode_id!r}: a value cannot be stored ({error}).",
+                    code="H3-RECORDING-101",
+                ) from None
             attachments = {name: self._files.put(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
             sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
@@ -340,19 +348,6 @@ class DatasetWriter:
 
 def _listed(features: Sequence[VideoFeature]) -> str:
     return ", ".join(f"{v.camera} ({v.width}x{v.height})" for v in features) or "none"
-
-
-def _episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
-    """The row of the episode table for a recording, without its place in the dataset."""
-    row = {**episode_to_dict(recording.episode), "columns": layout_to_json(layout)}
-    try:
-        for value in row.values():
-            pa.scalar(value)
-    except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
-        raise InputError(
-            f"Episode {recording.episode.episode_id!r}: a value cannot be stored ({error}).", code="H3-RECORDING-101"
-        ) from None
-    return row
 
 
 def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bool) -> Layout:

@@ -83,7 +83,14 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
     for instance in scene.static_instances:
         category = scene.assets[instance.asset].category
         if category == "window" and len(scene.assets[instance.asset].mesh.vertices):
-            windows.append(_window(instance_bounds(scene, instance)))
+            bounds = instance_bounds(scene, instance)
+            size = bounds[1] - bounds[0]
+            # a window is thinner than it is wide, and stands upright
+            across = 0 if size[0] < size[2] else 2
+            along = 2 - across
+            axis, u, v = np.eye(3)[across], np.zeros(3), np.zeros(3)
+            u[along], v[1] = max(size[along] / 2 - 0.09, 0.05), max(size[1] / 2 - 0.05, 0.05)
+            windows.append(Window(center=bounds.mean(0), half_u=u, half_v=v, across=axis))
             glass.add(instance.name)
         elif category in ("ceiling_lamp", "floor_lamp", "table_lamp", "lamp") and len(
             scene.assets[instance.asset].mesh.vertices
@@ -107,16 +114,6 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
         glowing=frozenset(glowing),
         glossy=frozenset(glossy),
     )
-
-
-def _window(bounds: NDArray[np.float64]) -> Window:
-    size = bounds[1] - bounds[0]
-    # a window is thinner than it is wide, and stands upright
-    across = 0 if size[0] < size[2] else 2
-    along = 2 - across
-    axis, u, v = np.eye(3)[across], np.zeros(3), np.zeros(3)
-    u[along], v[1] = max(size[along] / 2 - 0.09, 0.05), max(size[1] / 2 - 0.05, 0.05)
-    return Window(center=bounds.mean(0), half_u=u, half_v=v, across=axis)
 
 
 def _named(

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from h3data.render.raster.raster import Target, View, new_target
 from h3data.render.shade.shading import KeptPicture
 
-MOST_STILL = 8
-"""Cameras that stand still for which a thread keeps buffers."""
 _REMEMBERED = 32
 """Views that are remembered, to see that a camera stands still; after so many images without it, it loses its buffers."""
 
@@ -100,4 +98,5 @@ class Drawings:
         for key, drawing in list(self.still.items()):
             if drawing.last_used < self._count - _REMEMBERED:
                 del self.still[key]
-        return len(self.still) < MOST_STILL
+        # 8: cameras that stand still for which a thread keeps buffers
+        return len(self.still) < 8

@@ -42,10 +42,8 @@ from h3data.render.raster.raster_draw import (
 )
 from h3data.render.raster.raster_simd import NEAR_M
 
-SORT_BINS = 1024
 FAR_PADDING = 1e30
 """Nearness of the padding around the image, which is nearer than everything, so that it never fails an occlusion test."""
-SPAN_MARGIN_PX = 0.01
 
 
 class Geometry(NamedTuple):
@@ -269,7 +267,8 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
     # what is left of the middle reaches farthest when it is near, what is right of it when it is far
     low = low / (near if low < 0 else far) * focal + principal
     high = high / (near if high > 0 else far) * focal + principal
-    return max(low - SPAN_MARGIN_PX, 0.0), min(high + SPAN_MARGIN_PX, size - 0.5)
+    span_margin_px = 0.01
+    return max(low - span_margin_px, 0.0), min(high + span_margin_px, size - 0.5)
 
 
 @kernel_part()
@@ -368,12 +367,13 @@ def _front_to_back(near, listed):
     furthest = np.float32(1e-6)
     for draw in listed:
         furthest = max(furthest, near[draw])
+    sort_bins = 1024
     # bins are enough: the order is for culling only, and pixels do not depend on it except where surfaces coincide
-    scale = np.float32(SORT_BINS - 1) / furthest
-    begin = np.zeros(SORT_BINS + 1, np.int32)
+    scale = np.float32(sort_bins - 1) / furthest
+    begin = np.zeros(sort_bins + 1, np.int32)
     for draw in listed:
         begin[int(near[draw] * scale) + 1] += 1
-    for b in range(SORT_BINS):
+    for b in range(sort_bins):
         begin[b + 1] += begin[b]
     order = np.empty(len(listed), np.int32)
     for draw in listed:

@@ -12,8 +12,6 @@ from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intr
 
 NEAR_M = 0.02
 """Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
-MEDIUM_PX = 64
-"""Largest width and height of pixel boxes on the float32 span path."""
 
 # Rows of the table that `setup_triangles` writes, 8 lanes each.
 E0, E1, E2, INV_Z = 0, 1, 2, 3  # edge values and nearness at the first pixel centre of the box
@@ -164,7 +162,9 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
     fine = sliverness.compare("<", 64.0)
     if not parallel:
         fine = fine & _largest(w).compare("<", _smallest(w) * 4.0)
-    fine = fine & across.compare("<", float(MEDIUM_PX)) & down.compare("<", float(MEDIUM_PX))
+    # largest width and height of pixel boxes on the float32 span path
+    medium_px = 64
+    fine = fine & across.compare("<", float(medium_px)) & down.compare("<", float(medium_px))
 
     steps = (e0_dx, e1_dx, e2_dx, inv_z_dx, e0_dy, e1_dy, e2_dy, inv_z_dy)
     for row, value in enumerate((e0, e1, e2, inv_z, *steps)):

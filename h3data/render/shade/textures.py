@@ -47,7 +47,14 @@ def pack_textures(textures: Sequence[Texture]) -> Textures:
             row[OFFSET], row[HEIGHT], row[WIDTH] = offset, *linear.shape[:2]
             row[FOLLOWING] = len(pyramid) - 1 - k
             levels.append(row)
-            words.append(np.pad(_words(linear), ((0, 1), (0, 1)), mode="wrap").ravel())
+            # linear colours as words
+            steps = np.array([2**bits - 1 for bits in BITS], np.float32)
+            channels = np.rint(np.sqrt(np.clip(linear, 0, 1)) * steps).astype(np.uint32)
+            words.append(
+                np.pad(
+                    np.bitwise_or.reduce(channels << np.array(SHIFTS, np.uint32), axis=2), ((0, 1), (0, 1)), mode="wrap"
+                ).ravel()
+            )
             offset += words[-1].size
     return Textures(
         np.concatenate(words),
@@ -98,10 +105,3 @@ def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
         # three source texels for two, weighted so that each of them keeps the same share of the whole (a polyphase box filter)
         result = ((half - k) * even + half * odd + (k + 1) * image[2::2]) / count
     return np.ascontiguousarray(np.moveaxis(result.astype(np.float32), 0, axis))
-
-
-def _words(linear: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Linear colours [H, W, 3] as words [H, W]."""
-    steps = np.array([2**bits - 1 for bits in BITS], np.float32)
-    channels = np.rint(np.sqrt(np.clip(linear, 0, 1)) * steps).astype(np.uint32)
-    return np.bitwise_or.reduce(channels << np.array(SHIFTS, np.uint32), axis=2)

@@ -18,8 +18,6 @@ from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 WALL_HALF_M = 0.06
 """Half the thickness of walls around stairwells [m]: the stairwell has the floor up to the middle of the wall, the rooms beyond
 have the rest."""
-SEAM_M = 1e-4
-"""Half width of a seam between the pieces of a floor that is closed."""
 WALL_GAP_M = 0.3
 """Gaps up to this wide between the rectangles of rooms are wall or doorway, and belong to the floor; walls then cut it."""
 
@@ -111,8 +109,10 @@ def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> Mul
             found = [_instance_footprints(scene, i, level + climb_m, level + height_m) for i in near]
             outlines = [outline for outlines in found for outline in outlines]
             parts.append(piece.intersection(whole).difference(shapely.union_all(outlines)))
+    # half width of a seam between the pieces of a floor that is closed
+    seam_m = 1e-4
     # grown and shrunk again: pieces that share an edge may miss each other by the last digit, and a path could not pass
-    free = shapely.union_all(parts).buffer(SEAM_M, join_style="mitre").buffer(-SEAM_M, join_style="mitre")
+    free = shapely.union_all(parts).buffer(seam_m, join_style="mitre").buffer(-seam_m, join_style="mitre")
     return MultiPolygon([p for p in shapely.get_parts(free) if isinstance(p, Polygon)])
 
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
 
-MIN_STEP_M = 0.02
-"""Shortest stride of sphere tracing: without it a ray along a wall would creep."""
 SLACK_M = 0.004
 """A line of sight may come this much nearer than the radius: bilinear look-up on a 5 cm grid is that wrong beside a
 surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
@@ -93,7 +91,8 @@ def line_of_sight(
         if s < -SLACK_M:
             return False
         # nothing is nearer than s, so a stride of this length cannot pass through anything
-        t += max(s, MIN_STEP_M)
+        # 0.02: shortest stride of sphere tracing: without it a ray along a wall would creep
+        t += max(s, 0.02)
     return sample_sdf(sdf, origin, cell, bx, bz) >= radius - SLACK_M
 
 

@@ -16,8 +16,6 @@ from h3data.kernels import kernel
 
 GROW_M = 1e-4
 """Distance of the blocking edges outside the free area [m]."""
-TANGENT_EPS = 1e-9
-"""Cross products [m^2] below this count as collinear."""
 
 
 class Graph(NamedTuple):
@@ -223,9 +221,11 @@ def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
     px, pz = graph.before[node, 0] - vx, graph.before[node, 1] - vz
     qx, qz = graph.after[node, 0] - vx, graph.after[node, 1] - vz
     a, b = ux * pz - uz * px, ux * qz - uz * qx
+    # cross products [m^2] below this count as collinear
+    tangent_eps = 1e-9
     # relative to the length of the ring's edge, because the cross product grows with it
-    eps_a = TANGENT_EPS + slack * (abs(px) + abs(pz))
-    eps_b = TANGENT_EPS + slack * (abs(qx) + abs(qz))
+    eps_a = tangent_eps + slack * (abs(px) + abs(pz))
+    eps_b = tangent_eps + slack * (abs(qx) + abs(qz))
     return not ((a > eps_a and b < -eps_b) or (a < -eps_a and b > eps_b))
 
 

@@ -58,8 +58,6 @@ class DrivenPersonSpec:
 
 DRIVEN = DrivenPersonSpec()
 
-_NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
-
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
@@ -377,7 +375,7 @@ class DrivenPerson(PersonActor):
             if self._shares[k] > 0:
                 target, share, solver = self._targets[k], self._shares[k], reacher(body, hand)
                 # the kernel takes an array in either case, and the flag below says whether it counts
-                turn = _NO_TURN if target.rotation is None else np.array(target.rotation)
+                turn = np.array([0.0, 0.0, 0.0, 1.0]) if target.rotation is None else np.array(target.rotation)
                 lead_arm(
                     solver.body,
                     solver.table.values,

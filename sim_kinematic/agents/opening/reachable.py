@@ -15,8 +15,6 @@ from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.skills import Objects
 from sim_kinematic.motion.state import WorldState
 
-_NOTHING = np.zeros((0, 2))
-
 
 class ReachQuery(NamedTuple):
     """Place to reach, with the home as it is when hands get there."""
@@ -46,7 +44,7 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | No
     joints = joints_of(scene)
     needed = joints.enclosing.get(receptacle, ())
     if not needed:
-        return ReachQuery(scene, point, _NOTHING)
+        return ReachQuery(scene, point, np.zeros((0, 2)))
     opened = _opened(scene, needed)
     if opened is None:
         return None

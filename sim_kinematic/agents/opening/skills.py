@@ -18,8 +18,6 @@ PATIENCE_STEPS = 45
 """Number of steps for which a part waits until an agent no longer blocks its movement."""
 FRONT_M = 0.05
 """Least distance in front of a handle from which an agent opens its part, on the side to which the part comes [m]."""
-AT_END = 0.02
-"""Share of its range within which a part counts as being at an end."""
 
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
@@ -28,9 +26,11 @@ def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> s
         return "no_joint"
     k, opens = action.target, action.skill == "open"
     share = float(openables.joints.shares(openables.positions)[k])
-    if opens and share > 1 - AT_END:
+    # share of its range within which a part counts as being at an end
+    at_end = 0.02
+    if opens and share > 1 - at_end:
         return "already_open"
-    if not opens and share < AT_END:
+    if not opens and share < at_end:
         return "already_closed"
     hit = openables.hits_agent(k, openables.travel(k, opens=opens))
     if hit >= 0:

@@ -9,8 +9,6 @@ from sim_kinematic.motion.spec import OracleSpec
 
 VIA_M = 0.125
 """Distance from a corner of its path at which a robot continues to the next one [m]."""
-STALLED_STEPS = 10
-"""A robot that has not got on for this long is content with a place from `NEARLY_M`."""
 AIMED_RAD = 1e-3
 """A person faces a point within this angle."""
 
@@ -25,7 +23,8 @@ def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
         since: steps since then.
     """
     # `|` and `&`, because tensors have no `or` and `and`
-    content = (since > STALLED_STEPS) | (best < 0.0)
+    # 10: a robot that has not got on for this long is content with a place from `NEARLY_M`
+    content = (since > 10) | (best < 0.0)
     return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
 
 

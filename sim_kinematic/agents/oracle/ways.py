@@ -21,9 +21,6 @@ from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 
 CELL_M = 0.2
 """Side of a cell. With 0.1 m paths are no shorter by 0.1%, the tables four times as large."""
-SKIP_M = 0.25
-"""Corners of a path that are nearer than this to the one before are passed over: an inflated corner is an arc of many points.
-Its chord leaves the free area by 3 cm at most, where the radius of the agent is 25 cm."""
 DETOUR_M = 0.05
 """A first point that all of a cell sees is taken before one that its middle alone sees if the path is longer by this at most.
 From the rest of the cell the way to the latter may touch what it passes: bases slide along it."""
@@ -125,7 +122,10 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     """The paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
     cells, nodes = floor_cells(free), free.graph.nodes
-    left, after = _from_corners(free.graph, ends, SKIP_M)
+    # 0.25: corners of a path that are nearer than this to the one before are passed over: an inflated corner is
+    # an arc of many points. Its chord leaves the free area by 3 cm at most, where the radius of the agent is 25
+    # cm.
+    left, after = _from_corners(free.graph, ends, 0.25)
     first = _from_cells(
         free.graph,
         cells.middles,

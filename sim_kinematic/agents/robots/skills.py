@@ -36,8 +36,6 @@ from sim_kinematic.motion.spec import ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
 
-HORIZON_M = 1000.0
-"""Distance of a point that lies in the same direction from everywhere in a home [m]."""
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 LOOK_M = 0.5
@@ -247,7 +245,8 @@ class RobotActor(RobotDriver):
         yield from self._fold_arm()
         # `drive_to` turns to a point, so the wanted heading becomes one far away
         ahead = stands[n, 2] + reach_bearing(self.robot)
-        facing = stands[n, :2] + HORIZON_M * np.array([np.cos(ahead), -np.sin(ahead)])
+        # 1000.0: distance of a point that lies in the same direction from everywhere in a home [m]
+        facing = stands[n, :2] + 1000.0 * np.array([np.cos(ahead), -np.sin(ahead)])
         return (yield from self.drive_to(stands[n, :2], facing=facing))
 
     def _straightest(self, stands: Array) -> int:

@@ -21,9 +21,6 @@ from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
 
-OTHERS_M = 0.3
-"""Radius of people who follow another policy [m]."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdMember:
@@ -123,7 +120,8 @@ class Crowds:
                 discs.append(robot_discs(*moments, base.disc_offsets_m, base.disc_radius_m))
             elif k not in members:
                 # people of other models and policies are obstacles that move
-                discs.append(Discs(xz[k, None], was_xz[k, None], np.array([OTHERS_M])))
+                # 0.3: radius of people who follow another policy [m]
+                discs.append(Discs(xz[k, None], was_xz[k, None], np.array([0.3])))
         others = NO_DISCS
         if len(discs) > 1:
             around = (np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True))

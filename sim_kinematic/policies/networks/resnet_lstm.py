@@ -80,7 +80,12 @@ class ResNet18(nn.Module):
             for k in range(4)
             for half in range(2)
         )
-        places = _places(size)
+        # positions that are left of a picture [pixels]:
+        # halved once by the pooling of the input, which drops an odd row, and five times by layers with a margin, which keep it
+        width, height = (side // 2 for side in size)
+        for _ in range(5):
+            width, height = -(-width // 2), -(-height // 2)
+        places = width * height
         # planes of which a picture has about 2,048 values before the last layer, whatever its size
         squeezed = max(round(2048 / places), GROUPS)
         self.squeeze = nn.Conv2d(widths[-1], squeezed, 3, 1, 1, bias=False)
@@ -93,15 +98,6 @@ class ResNet18(nn.Module):
         for block in self.blocks:
             x = block(x)
         return F.relu(self.out(F.relu(self.squeeze_norm(self.squeeze(x))).flatten(1)))
-
-
-def _places(size: tuple[int, int]) -> int:
-    """Return the number of positions that are left of a picture (width, height) [pixels]."""
-    # halved once by the pooling of the input, which drops an odd row, and five times by layers with a margin, which keep it
-    width, height = (side // 2 for side in size)
-    for _ in range(5):
-        width, height = -(-width // 2), -(-height // 2)
-    return width * height
 
 
 class ResNetLSTM(nn.Module):

@@ -20,8 +20,6 @@ from sim_kinematic.sensing.table import OF_SKILLS
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
 PICTURE = "arm_depth"
-BEGINS_WITHIN_M = 6.0
-"""Largest distance from the target at which ``pick`` and ``place`` begin [m]."""
 
 
 class NetworkSkill:
@@ -73,7 +71,8 @@ class NetworkSkill:
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
-        return "out_of_reach" if float(np.hypot(*gap)) > BEGINS_WITHIN_M else ""
+        # 6.0: largest distance from the target at which ``pick`` and ``place`` begin [m]
+        return "out_of_reach" if float(np.hypot(*gap)) > 6.0 else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
         """Begin the skill: the network is evaluated in each step until the skill succeeds or fails."""

@@ -71,12 +71,6 @@ from sim_kinematic.tasks.rearrange.episode import (
 from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
-START_ATTEMPTS = 20
-"""Number of pairs of starts that are tried for a file without starts; beyond it, a person need not be able to do the work in
-time."""
-
-_log = logging.getLogger(__name__)
-
 
 class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
     """Writes starts, objects and goals; the starts of further agents follow from the seed."""
@@ -372,7 +366,9 @@ def sampled_starts(
     robot, human = load_robot(pair[0]), load_humanoid(pair[1])
     fits = robot_fits(robot, spec.robot, scene, free)
     best: tuple[float, Starts] | None = None
-    for attempt in range(START_ATTEMPTS):
+    # 20: number of pairs of starts that are tried for a file without starts; beyond it, a person need not be able
+    # to do the work in time
+    for attempt in range(20):
         rng = generator(seed, "rearrange_starts", step=attempt)
         starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         # the slower order counts, as for episodes that are sampled whole
@@ -384,7 +380,9 @@ def sampled_starts(
             return starts
     assert best is not None
     if not np.isfinite(best[0]):
-        _log.warning("%s: a person cannot reach all objects and goals of an episode from any start tried", scene.name)
+        logging.getLogger(__name__).warning(
+            "%s: a person cannot reach all objects and goals of an episode from any start tried", scene.name
+        )
     return best[1]
 
 

@@ -41,9 +41,6 @@ from sim_kinematic.tasks.resimulation import is_counterfactual
 from sim_kinematic.tasks.skills.household import Household
 from sim_kinematic.tasks.skills.kept_track import SkillTrack, follow_track
 
-SHORT_WAIT = Action("wait", steps=1)
-"""Choice of a robot without a command, which lasts one step, so that the next command is followed at once."""
-
 
 class SkillControl(Control):
     """Control of agents with skills, in one world at a time."""
@@ -108,7 +105,9 @@ class SkillControl(Control):
             return runner.action
         if last is not None and last.skill == CONTROL:
             return last
-        return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
+        # choice of a robot without a command, which lasts one step, so that the next command is followed at
+        # once
+        return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else Action("wait", steps=1)
 
     def is_busy(self, play: Any, number: int) -> bool:
         """Return whether a skill other than ``wait`` is running."""

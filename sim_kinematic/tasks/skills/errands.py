@@ -21,8 +21,6 @@ from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.tasks.episode import agent_base, agent_floor
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
-_ERRANDS = "_errands"
-
 Stands = tuple[Array, Callable[[Array], bool]]
 """Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
 
@@ -34,7 +32,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
         InputError: The home has doors or drawers that open.
     """
     # beside the fields of the frozen episode: replace() leaves it out, so other agents have their own
-    known = vars(episode).setdefault(_ERRANDS, {})
+    known = vars(episode).setdefault("_errands", {})
     if number not in known:
         if episode.scene.articulations:
             raise InputError(
@@ -42,23 +40,19 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
                 "rules without oracle.",
                 code="H3-TASK-015",
             )
-        known[number] = _errands(episode, number)
+        # paths to the places where the agent takes and puts down each object
+        starts = np.array([target.start[:3] for target in episode.targets], np.float64)
+        goals = np.array([target.goal for target in episode.targets], np.float64)
+        floor = agent_floor(episode, number)
+        ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
+        known[number] = SubGoals(
+            oracle=episode.spec.oracle or OracleSpec(),
+            to_start=ways[: len(starts)],
+            to_goal=ways[len(starts) :],
+            starts=starts,
+            goals=goals,
+        )
     return known[number]
-
-
-def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
-    """Compute the errands of an agent: paths to the places where it takes and puts down each object."""
-    starts = np.array([target.start[:3] for target in episode.targets], np.float64)
-    goals = np.array([target.goal for target in episode.targets], np.float64)
-    floor = agent_floor(episode, number)
-    ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
-    return SubGoals(
-        oracle=episode.spec.oracle or OracleSpec(),
-        to_start=ways[: len(starts)],
-        to_goal=ways[len(starts) :],
-        starts=starts,
-        goals=goals,
-    )
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:

@@ -73,8 +73,6 @@ DTYPES: dict[str, type] = {
 }
 """Types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``."""
 CONTACT = "contact"
-COMMANDED = (CONTROL, *PRIMITIVES)
-"""Skills by which somebody else moves a robot step by step."""
 # one second of 30 steps, and the present
 TRACK = 31
 """Number of positions of the other agent that a policy observes, the present one included."""
@@ -461,7 +459,8 @@ class Household(Team):
         """Return progress of an agent with its present task."""
         runner = self.controllers[number]
         skill, k, *_ = runner.action
-        driven = skill in COMMANDED or isinstance(runner.actor, DrivenPerson)
+        # skills by which somebody else moves a robot step by step
+        driven = skill in (CONTROL, *PRIMITIVES) or isinstance(runner.actor, DrivenPerson)
         busy = runner.skill is not None and skill not in IDLE_SKILLS
         return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 

@@ -5,7 +5,7 @@ The rules follow the paper (section 4.1 and appendix) and habitat-lab.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
@@ -107,7 +107,12 @@ class SocialNav(Task):
         Raises:
             InputError: The roster is not one robot and one person.
         """
-        _require_pair(roster)
+        if kinds_of(roster) != ("robot", "human"):
+            raise InputError(
+                f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
+                "Hint: rearrange and wander take any agents.",
+                code="H3-TASK-053",
+            )
         free = common_floor(roster, free)
         fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
         starts = sample_pair_starts(free, seed, spec, fits=fits)
@@ -288,13 +293,3 @@ class SocialNav(Task):
 def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
     """Return the part of a track [T, 2] from a step on."""
     return track()[step:]
-
-
-def _require_pair(roster: Sequence[AgentSpec]) -> None:
-    """Raise an `InputError` if a roster is not one robot and one person."""
-    if kinds_of(roster) != ("robot", "human"):
-        raise InputError(
-            f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
-            "Hint: rearrange and wander take any agents.",
-            code="H3-TASK-053",
-        )

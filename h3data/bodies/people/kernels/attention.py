@@ -24,8 +24,6 @@ from h3data.kernels import kernel, kernel_part
 
 YAW_MAX, PITCH_MAX = math.radians(70.0), math.radians(50.0)
 """Largest turn of the head against the chest; points behind the person are not looked at."""
-BEHIND = -0.3
-"""Cosine between the chest's direction and that of a point, below which the point is behind."""
 HEAD_SHARE, HEAD_STEP, HEAD_GAIN = 0.2, math.radians(4.0), 0.02
 """The head turns by this share of the remaining angle in a step, by at most 4 degrees [rad] (120 degrees a second), and the
 turn of a step changes by at most `HEAD_GAIN` [rad] from one step to the next: heads have mass."""
@@ -137,7 +135,8 @@ def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
         neck, head = _turn_head(quats, gaze)
         world, _ = _to_target(offsets, at, turn, neck, head, target)
         path = turned(inverse(turn), world)
-        sees = path[2] > BEHIND
+        # -0.3: cosine between the chest's direction and that of a point, below which the point is behind
+        sees = path[2] > -0.3
         if sees:
             face = turned(multiply(row4(quats, _NECK), row4(quats, _HEAD)), (0.0, 0.0, 1.0))
             own_yaw, own_pitch = _between((0.0, 0.0, 1.0), face)

@@ -29,9 +29,6 @@ from h3data.kernels import kernel, kernel_part
 
 WRIST_MAX = math.radians(70.0)
 """Largest angle of a wrist from the direction of the forearm [rad]."""
-TURN_PASSES = 4
-"""Number of passes in which arm and wrist are solved in turn, as a turned wrist moves the palm. The arm comes last: the place
-of the palm is exact, its rotation is off by less than 0.1 degrees after four passes."""
 NECK_SHARE = 0.4
 """Share of a turn of the head that the neck does."""
 
@@ -79,10 +76,13 @@ def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, shar
     natural = (row4(quats, body.joints[1]), row4(quats, body.joints[2]), row4(quats, body.joints[3]))
     aim = (turn[0], turn[1], turn[2], turn[3])
     wrist, grasp = (0.0, 0.0, 0.0, 1.0), (body.palm[0], body.palm[1], body.palm[2])
-    for k in range(TURN_PASSES if has_turn else 1):
+    # number of passes in which arm and wrist are solved in turn, as a turned wrist moves the palm. The arm comes
+    # last: the place of the palm is exact, its rotation is off by less than 0.1 degrees after four passes.
+    turn_passes = 4
+    for k in range(turn_passes if has_turn else 1):
         _, _, arm_turn, _ = pose_arm(body, turned(wrist, grasp), collar_turn, shoulder, goal, pole, quats)
         # not in the last pass: a wrist that turned after the arm would move the palm off its place
-        if has_turn and k + 1 < TURN_PASSES:
+        if has_turn and k + 1 < turn_passes:
             forearm = multiply(arm_turn, row4(quats, body.joints[2]))
             wrist = _clipped_turn(multiply(inverse(forearm), aim), WRIST_MAX)
     put(quats, body.joints[1], nlerp(natural[0], row4(quats, body.joints[1]), share))

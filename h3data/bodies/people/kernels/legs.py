@@ -36,8 +36,6 @@ LEG_JOINTS = np.array(
 )
 KNEES_OUT = 0.10
 """Distance by which knees point out to their side, relative to 1 for the direction in which feet point forward."""
-SETTLE_LIFT = 0.3
-"""Height of a foot's path to its standing place, as a share of the distance."""
 
 
 class LegMeasures(NamedTuple):
@@ -179,7 +177,8 @@ def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
         for i in range(3):
             ankle[k, i] = still_ankle[k, i] + s * (ankle[k, i] - still_ankle[k, i])
             foot[k, i] = still_foot[k, i] + s * (foot[k, i] - still_foot[k, i])
-        lift = SETTLE_LIFT * min(apart, 0.3) + 0.015 * min(apart / 0.004, 1.0)
+        # 0.3: height of a foot's path to its standing place, as a share of the distance
+        lift = 0.3 * min(apart, 0.3) + 0.015 * min(apart / 0.004, 1.0)
         # a parabola of height `lift`, 0 at both ends
         ankle[k, 1] += lift * 4 * (s * (1 - s))
         ankle[k, 1] += max(-lowest(legs.feet[k], ankle[k, 1], foot[k, 0], foot[k, 2]), 0.0)

@@ -52,12 +52,9 @@ CLEARANCE_MIN_M, STRETCH_MAX_M, SPREAD_MIN = -0.012, 0.03, 0.25
 REACHED, OUTSIDE_BOX, INVALID_POSTURE, TOO_FAR = 0, 1, 2, 3
 
 _SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
-_SPINE_SHARE = (0.30, 0.35, 0.35)
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _GAZE_YAW, _GAZE_PITCH, _NECK_SHARE = 0.9, 0.75, 0.4
 """The head turns by this much [rad] towards a target straight aside or below."""
-_HANG = 0.85
-"""Share of the trunk's lean that the other arm does not follow: it hangs."""
 _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
 """Least distances of the centre of mass behind the toe joints, before the heels, and outside the ankles."""
 
@@ -112,7 +109,7 @@ def _solve_leg(body, k, pelvis_turn, hip, quats):
 @kernel_part()
 def _bend(body, x, trunk, k, turn, at, quats):
     """One joint of the spine: frame and place from those of the one below."""
-    share, m, joint = trunk * _SPINE_SHARE[k], -body.sign, _SPINE[k]
+    share, m, joint = trunk * (0.30, 0.35, 0.35)[k], -body.sign, _SPINE[k]
     local = multiply(
         from_vector(share * x[SPINE], share * m * x[SPINE + 1], share * m * x[SPINE + 2]), row4(body.stand, joint)
     )
@@ -237,7 +234,8 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     tilt = cross((0.0, 1.0, 0.0), upright)
     lean = math.sqrt(dot(tilt, tilt))
     # by most of the angle between the vertical and the chest, about the axis of that lean
-    amount = trunk * _HANG * math.atan2(lean, upright[1]) / max(lean, 1e-9)
+    # 0.85: share of the trunk's lean that the other arm does not follow: it hangs
+    amount = trunk * 0.85 * math.atan2(lean, upright[1]) / max(lean, 1e-9)
     other = body.joints[4]
     hang = from_vector(amount * tilt[0], amount * tilt[1], amount * tilt[2])
     put(quats, other, multiply(hang, row4(body.stand, other)))
