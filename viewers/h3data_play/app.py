@@ -11,6 +11,7 @@ from h3data.plugins import Registry
 from h3data_play.drivers import Driver
 from h3data_play.messages import Act
 from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.task import Task
 
 _LEAF = "leaf"
 """The part of a door between rooms, in homes of the generator."""
@@ -71,8 +72,8 @@ class App:
     happened, `hud` for what each player reads.
     """
 
-    task: ClassVar[str] = ""
-    """Name of the task, or ``module:Class``."""
+    task: ClassVar[str | type[Task]] = ""
+    """Class of the task, its name, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
     """Rules of the task that differ where people play it."""
     seats: ClassVar[tuple[str, ...]] = ("person",)
@@ -174,17 +175,7 @@ def _require_app(found: Any) -> None:
         raise InputError("Expected a subclass of h3data_play.app.App that names its task.", code="H3-PLAY-001")
 
 
-_APPS: Registry[Any] = Registry(
-    "h3data.apps",
-    {
-        "rearrange": "h3data_play.apps.rearrange:RearrangeApp",
-        "social_nav": "h3data_play.apps.social_nav:FollowMeApp",
-        "tutorial": "h3data_play.apps.tutorial:TutorialApp",
-        "teleop": "h3data_play.apps.teleop:TeleopApp",
-    },
-    what="app",
-    check=_require_app,
-)
+_APPS: Registry[Any] = Registry("h3data.apps", {}, what="app", check=_require_app)
 
 
 def find_app(name: str) -> type[App]:

@@ -9,12 +9,14 @@ from h3data_play.app import App, Goal, Hud, sentence_of
 from h3data_play.drivers import Driver, PersonDriver, RobotDriver
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.tasks.rearrange.codec import spoken
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.task import Task
 
 
 class RearrangeApp(App):
     """App in which all objects are brought to their goals, together with the other agents."""
 
-    task: ClassVar[str] = "rearrange"
+    task: ClassVar[str | type[Task]] = Rearrange
     # as in the paper's study: contact is counted, it does not end the episode
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
 
