@@ -94,7 +94,7 @@ class Train:
     population: Annotated[str | None, POPULATIONS] = None
     """Who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
     plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
-    ablate: Annotated[tuple[Literal["humanoid_gps", "primitives"], ...], POPULATIONS] = ()
+    ablate: Annotated[tuple[str, ...], POPULATIONS] = ()
     """Ablations of the robot. humanoid_gps: it is not shown where the person is; primitives: it
     cannot choose the four primitives of navigation."""
     recipe: Annotated[Literal["fast", "paper", "tiny"] | None, RECIPES] = None
