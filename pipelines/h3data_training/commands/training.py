@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Trainer:
-    """How policies of a task are trained: an entry of the group ``h3data.trainers``, by the name of the task."""
+    """Training of policies for a task: an entry of the group ``h3data.trainers``, by the name of the task."""
 
     run: Callable[[Train], Outcome]
     """Trains by the options of the command."""
