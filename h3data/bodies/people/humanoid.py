@@ -109,6 +109,8 @@ class Humanoid:
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """The shape parameters from which the body was baked."""
+    camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
+    """Names of the cameras that the body carries: its view, between the eyes in the direction of the head."""
     climbs_stairs: ClassVar[bool] = True
     """True: all people climb stairs, which not all robots do."""
     climbing_length_m: ClassVar[float] = 0.0
