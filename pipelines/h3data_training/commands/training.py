@@ -175,10 +175,10 @@ class Train:
             raise InputError(
                 "Expected the name of a skill: h3data train skill nav, pick or place.", code="H3-TRAIN-012"
             )
-        if self.task not in TRAINERS.names():
+        if self.task not in (known := TRAINERS.names()):
             raise InputError(
-                f"Expected a task to train, one of {', '.join(TRAINERS.names())}, got {self.task!r}: policies of other tasks "
-                "cannot be trained yet.",
+                f"Expected the task {', '.join(known[:-1])} or {known[-1]}, got {self.task!r}: policies of other tasks cannot "
+                "be trained yet.",
                 code="H3-TRAIN-013",
             )
         return TRAINERS.get(self.task).run(self)
