@@ -152,8 +152,9 @@ def _own_groups() -> dict[str, dict[str, str]]:
     """Return `own_entries` by group."""
     # a source tree first: what pip wrote down when it was installed may be older
     file, groups = Path(__file__).parents[1] / "pyproject.toml", {}
-    if file.is_file():
-        return tomllib.loads(file.read_text("utf-8"))["project"]["entry-points"]
+    project = tomllib.loads(file.read_text("utf-8")).get("project", {}) if file.is_file() else {}
+    if project.get("name") == "h3data":  # some packages leave such a file where they are installed
+        return project["entry-points"]
     with suppress(importlib.metadata.PackageNotFoundError):
         for point in importlib.metadata.distribution("h3data").entry_points:
             groups.setdefault(point.group, {})[point.name] = point.value
