@@ -1,4 +1,4 @@
-"""Environments, and the Gymnasium ids of the built-in tasks, which importing this module registers.
+"""Environments, and the Gymnasium ids of the tasks of h3data, which importing this module registers.
 
 ```python
 import gymnasium
@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import MissingExtraError
-from h3data.plugins import import_name
+from h3data.plugins import import_name, own_entries
 
 if TYPE_CHECKING:
     from h3data_training.envs.dataset_env import DatasetEnv
@@ -46,18 +46,7 @@ except ImportError as error:
         "Environments need Gymnasium. Hint: pip install 'h3data[env]'", code="H3-FILE-008"
     ) from error
 
-IDS = {
-    "h3data/SocialNav-v0": "social_nav",
-    "h3data/Rearrange-v0": "rearrange",
-    "h3data/Wander-v0": "wander",
-    "h3data/CrowdNav-v0": "crowd_nav",
-    "h3data/Scenarios-v0": "scenarios",
-    "h3data/CrowdFollow-v0": "crowd_follow",
-    "h3data/CrowdLead-v0": "crowd_lead",
-    "h3data/CrowdAccompany-v0": "crowd_accompany",
-    "h3data/CrowdJoin-v0": "crowd_join",
-    "h3data/CrowdGiveWay-v0": "crowd_give_way",
-}
+IDS = {f"h3data/{name.title().replace('_', '')}-v0": name for name in own_entries("h3data.tasks")}
 """Name of the task by id."""
 
 for _id, _task in IDS.items():

@@ -143,16 +143,22 @@ def own_entries(group: str) -> dict[str, str]:
     """Return the references ``module:name`` of those entry points of a group that come with this package, by name.
 
     Their modules need not be installed.
-
-    A source tree on PYTHONPATH, which is not installed, has them in its ``pyproject.toml``.
     """
-    try:
-        points = importlib.metadata.distribution("h3data").entry_points
-    except importlib.metadata.PackageNotFoundError:
-        file = Path(__file__).parents[1] / "pyproject.toml"
-        tables = tomllib.loads(file.read_text("utf-8")) if file.is_file() else {}
-        return dict(tables.get("project", {}).get("entry-points", {}).get(group, {}))
-    return {point.name: point.value for point in points if point.group == group}
+    return dict(_own_groups().get(group, {}))
+
+
+@cache
+def _own_groups() -> dict[str, dict[str, str]]:
+    """Return `own_entries` by group."""
+    # a source tree first: what pip wrote down when it was installed may be older
+    file, groups = Path(__file__).parents[1] / "pyproject.toml", {}
+    project = tomllib.loads(file.read_text("utf-8")).get("project", {}) if file.is_file() else {}
+    if project.get("name") == "h3data":  # some packages leave such a file where they are installed
+        return project["entry-points"]
+    with suppress(importlib.metadata.PackageNotFoundError):
+        for point in importlib.metadata.distribution("h3data").entry_points:
+            groups.setdefault(point.group, {})[point.name] = point.value
+    return groups
 
 
 def _is_there(reference: str) -> bool:

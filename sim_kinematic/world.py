@@ -146,7 +146,7 @@ class World:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.", code="H3-SIM-050")
         self.roster, self.worlds = tuple(roster), int(worlds)
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
-        self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
+        self.bases = tuple(base_of(member.body, rules) for member in self.roster)
         """Discs and limits of each robot; the rules for people."""
         self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
         self._person_contact: PersonContact = person_contact
@@ -411,7 +411,7 @@ class World:
     def _driven_on(self, agent: int, free: FreeSpace) -> FreeSpace:
         """The map on which a robot moves: to one that does not climb, stairs are walls."""
         body = self.roster[agent].body
-        return free if not free.has_stairs or (isinstance(body, Robot) and body.climbs_stairs) else free.without_stairs
+        return free if not free.has_stairs or body.climbs_stairs else free.without_stairs
 
     def _keep(self, agent: int, command: RecordedPoseCommand) -> None:
         own = self.state.agents[agent]

@@ -94,13 +94,6 @@ AGAINST_THE_LAYERS = {
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
     "h3data.scenes": ["h3data_homes"],
-    "h3data_play.app": [
-        "h3data_play.apps.rearrange",
-        "h3data_play.apps.social_nav",
-        "h3data_play.apps.teleop",
-        "h3data_play.apps.tutorial",
-    ],
-    "sim_kinematic.tasks.registry": ["sim_kinematic.tasks.rearrange.task"],
 }
 """Modules that name a module above them, or one that imports them, in a string, and so hide an import from import-linter.
 

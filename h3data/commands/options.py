@@ -30,7 +30,7 @@ from typing import (
 
 import tyro
 
-from h3data.commands.command import Command
+from h3data.commands.command import Command, NameOf
 from h3data.errors import InputError, suggest
 
 T = TypeVar("T")
@@ -55,22 +55,20 @@ flag, it would swallow the positional argument behind it."""
 
 @dataclass(frozen=True)
 class OfTasks:
-    """Marks an option that only some of the built-in tasks have: the others refuse it, and their help leaves it out.
+    """Marks an option that only some tasks have: the others refuse it, and their help leaves it out.
 
-    Tasks of other packages may have it."""
+    A task that is given as ``module:Class`` may have it."""
 
-    tasks: tuple[str, ...]
+    has: Callable[[str], bool]
+    """Function that is asked with the name of a task."""
 
 
 @dataclass(frozen=True)
 class TaskNotes:
     """Marks an option that means something different in each task: the help of a task adds its sentence."""
 
-    notes: Mapping[str, str]
-    """Text by name of the task."""
-
-    def __hash__(self) -> int:  # tyro keeps marked types in caches
-        return hash(tuple(self.notes.items()))
+    note: Callable[[str], str]
+    """Function that returns the sentence for the name of a task; empty: there is none."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +106,13 @@ class Option:
         return self.count is None and bool(self.flags)
 
     @property
-    def tasks(self) -> tuple[str, ...]:
-        """Built-in tasks that have the option; empty if all tasks have it."""
-        return next((mark.tasks for mark in self.metadata if isinstance(mark, OfTasks)), ())
+    def of_tasks(self) -> OfTasks | None:
+        """Mark that says which tasks have the option; None if all have it."""
+        return next((mark for mark in self.metadata if isinstance(mark, OfTasks)), None)
 
-    @property
-    def notes(self) -> Mapping[str, str]:
-        """Meanings of the option in single tasks."""
-        return next((mark.notes for mark in self.metadata if isinstance(mark, TaskNotes)), {})
+    def note(self, task: str) -> str:
+        """Return the meaning of the option in a task; empty if it is the same in all tasks."""
+        return next((mark.note(task) for mark in self.metadata if isinstance(mark, TaskNotes)), "")
 
 
 def annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
@@ -204,9 +201,10 @@ def split_list(text: str) -> list[str]:
     return [part for part in map(str.strip, parts) if part]
 
 
-def known_tasks(options: Iterable[Option]) -> tuple[str, ...]:
-    """The tasks that some of the options belong to, or are described for, in this order."""
-    return tuple(dict.fromkeys(task for o in options for task in (*o.notes, *o.tasks)))
+def known_tasks(command: type[Command]) -> tuple[str, ...]:
+    """The names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
+    marks = (mark for o in options_of(command) if o.field == "task" for mark in o.metadata if isinstance(mark, NameOf))
+    return tuple(name for mark in marks for name in mark.names())
 
 
 def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
@@ -215,13 +213,18 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
     Raises:
         InputError: one of them is of other tasks.
     """
-    options, fields = options_of(command), set(given)
-    if task not in known_tasks(options):
-        return
-    strangers = [o for o in options if o.field in fields and o.tasks and task not in o.tasks]
+    fields = set(given)
+    marked = [(o, o.of_tasks) for o in options_of(command) if o.field in fields and o.of_tasks is not None]
+    tasks = known_tasks(command) if marked else ()
+    strangers = [(option, mark) for option, mark in marked if task in tasks and not mark.has(task)]
     if strangers:
-        listed = ", ".join(f"{option.flags[-1]} (of {' and '.join(option.tasks)})" for option in strangers)
+        listed = ", ".join(f"{option.flags[-1]} (of {_few([*filter(mark.has, tasks)])})" for option, mark in strangers)
         raise InputError(f"These are no options of {task}: {listed}.", code="H3-OPTION-076")
+
+
+def _few(tasks: list[str]) -> str:
+    """Return names as text, of more than three only the first two and a number."""
+    return " and ".join(tasks if len(tasks) < 4 else [", ".join(tasks[:2]), f"{len(tasks) - 2} others"])
 
 
 def python_value(option: Option, value: Any) -> Any:

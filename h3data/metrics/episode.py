@@ -38,7 +38,7 @@ class EpisodeMetrics:
     moments: Mapping[str, int] = field(default_factory=dict)
     """First row in which a flag of the profile's series held: ``found``, ``collision``, ``done``; absent if never."""
     rows: int
-    task: str = "social_nav"
+    task: str
     """Task of the metrics; for profiles that measure any task, that of the recording."""
     task_is_assumed: bool = False
     """The recording, a gfx-replay, does not say its task: ``task`` is what it was taken for."""

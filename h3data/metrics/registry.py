@@ -68,17 +68,17 @@ def all_profiles() -> tuple[Profile, ...]:
     )
 
 
-def find_profile(name: str, task: str = "social_nav") -> Profile:
-    """Returns the profile of this name for recordings of a task.
+def find_profile(name: str, task: str | None = None) -> Profile:
+    """Returns the profile of this name for recordings of a task; None: the first one of the name.
 
     Raises:
         InputError: nothing has this name, or it does not measure the task; the message lists the profiles that do.
         PluginError: the profile of another package cannot be used.
     """
     for profile in profiles_named(name):
-        if profile.measures(task):
+        if task is None or profile.measures(task):
             return profile
-    suitable = dict.fromkeys(profile.name for profile in all_profiles() if profile.measures(task))
+    suitable = dict.fromkeys(profile.name for profile in all_profiles() if profile.measures(str(task)))
     raise InputError(
         f"Profile {name!r} does not measure the task {task!r}. Use one of: {', '.join(suitable)}.", code="H3-METRIC-023"
     )
@@ -116,8 +116,8 @@ def _profile_naming(task: str) -> Profile:
     return next((p for p in all_profiles() if task in p.tasks), profiles_named(ANY_TASK)[0])
 
 
-def metrics_of(profile: str, task: str = "social_nav") -> tuple[Metric, ...]:
-    """Returns all metrics of a profile for a task."""
+def metrics_of(profile: str, task: str | None = None) -> tuple[Metric, ...]:
+    """Returns all metrics of a profile for a task; None: for its first one."""
     return find_profile(profile, task).metrics
 
 

@@ -56,7 +56,7 @@ def camera_names(replay: Replay) -> list[str]:
         names.append(THIRD_PERSON)
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model else None
-        mounted = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
+        mounted = model.camera_names if model else ()
         # the first agent with such a camera has its plain name, the others have theirs before it
         names += [name if name not in names else f"{agent.name}/{name}" for name in mounted]
         if index != default_leader(replay):
@@ -126,9 +126,7 @@ def carrier_of(replay: Replay, name: str) -> int | None:
     owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None
-        if isinstance(model, Robot) and any(mounted.name == camera_name for mounted in model.cameras):
-            return index
-        if model is not None and not isinstance(model, Robot) and camera_name == HUMAN_HEAD:
+        if model is not None and camera_name in model.camera_names:
             return index
     return None
 
@@ -149,8 +147,6 @@ def _mounted(replay: Replay, name: str) -> CameraTrack | None:
     return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
 
 
-HUMAN_HEAD = "human_head"
-"""A person's view: a camera between the eyes, looking in the direction of the head."""
 HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
 """Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12

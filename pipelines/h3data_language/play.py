@@ -22,6 +22,7 @@ from h3data_play.drivers import Driver, PersonDriver, RobotDriver, SkillDriver
 from h3data_play.messages import Act, Bring, Use
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import INSIDE, Destination, sentence
+from sim_kinematic.tasks.task import Task
 
 USES = {("clean", True): "clean", ("filled", True): "fill", ("filled", False): "pour", ("powered", True): "on"}
 """Word for the page of what a player can do to a thing, by the state and its value afterwards."""
@@ -107,7 +108,7 @@ class LanguageRobot(LanguageDriver, RobotDriver):
 class LanguageApp(RearrangeApp):
     """App in which players read an instruction, carry it out together with the other agents, and talk to them."""
 
-    task: ClassVar[str] = "language"
+    task: ClassVar[str | type[Task]] = "language"
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 9000, "end_on_collision": False, "solid_agents": True}
     partner: ClassVar[str | None] = "language_greedy"
     question: ClassVar[str] = "Did you complete the task?"

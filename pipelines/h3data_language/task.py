@@ -59,6 +59,8 @@ _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
 class LanguageCodec(RearrangeCodec):
     """Writes tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
 
+    foreign: ClassVar[str] = PROPOSITIONS
+
     def record(self, episode: Episode) -> StoredLanguage:
         """Record of an episode: that of rearrangement, and what was sampled besides."""
         record = super().record(episode)

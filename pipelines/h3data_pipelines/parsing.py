@@ -143,7 +143,7 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
     Of a command whose options differ between tasks, ``task`` chooses what is shown; empty: what all of them have.
     """
     about, _, examples = (inspect.getdoc(command) or "").partition("Examples:\n")
-    tasks = known_tasks(options_of(command))
+    tasks = known_tasks(command)
     try:
         tyro.cli(
             _documented(command, task),
@@ -156,7 +156,7 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
     except SystemExit:
         more = _COMMON_HELP
         if tasks and task not in tasks:
-            more = f"A task has more options. See: {' or '.join(f'{prog} {each} --help' for each in tasks)}\n\n{more}"
+            more = f"Each task has more options: {', '.join(tasks)}. See: {prog} {tasks[0]} --help\n\n{more}"
         lines = examples.rstrip().splitlines()
         if task in tasks:
             lines = [line for line in lines if f"{prog} {task} " in f"{line} "]
@@ -182,7 +182,7 @@ def _documented(command: type[Command], task: str) -> Any:
     """
     annotations: dict[str, Any] = {}
     by_field = {option.field: option for option in options_of(command)}
-    tasks = known_tasks(by_field.values())
+    tasks = known_tasks(command)
     # tyro keeps the line breaks of the source, which are not those of the terminal
     texts = {
         p.arg_name: " ".join((p.description or "").split()) for p in docstring_parser.parse_from_object(command).params
@@ -198,9 +198,10 @@ def _documented(command: type[Command], task: str) -> Any:
             kind = Annotated[kind, _shown(f"{{{','.join(map(str, get_args(option.kind)))}}}")]
         if option.is_list:
             kind = Repeatable[annotated(kind, option.metadata)]
-        if option.tasks and (not task or task in tasks) and task not in option.tasks:
+        if (mark := option.of_tasks) is not None and (not task or (task in tasks and not mark.has(task))):
             kind = Annotated[kind, tyro.conf.Suppress]
-        hint = functools.partial(_hint, f"{task}: {option.notes[task]}" if task in option.notes else "")
+        note = option.note(task) if task in tasks else ""
+        hint = functools.partial(_hint, f"{task}: {note}" if note else "")
         annotations[name] = Annotated[kind, tyro.conf.arg(help=texts.get(name), help_behavior_hint=hint)]
     members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
     return type(command.__name__, (command,), members)

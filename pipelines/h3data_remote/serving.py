@@ -29,6 +29,7 @@ from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import TABLE
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.social_nav import SocialNav
 
 try:
     from websockets.exceptions import ConnectionClosed
@@ -96,18 +97,18 @@ class _ServedVisualNavigation(VisualNavigation):
 class ServedPolicy:
     """A policy as a server plays it: what it says about itself, and fresh players of it."""
 
-    def __init__(self, name: str, task: str = "social_nav", adapter: Adapter | None = None) -> None:
+    def __init__(self, name: str, task: str | None = None, adapter: Adapter | None = None) -> None:
         """Finds the policy.
 
         Args:
             name: Name as for ``--policy``: a planner, a trained policy, ``weights:FILE``, or ``module:name``.
-            task: Task that is played.
+            task: Task that is played; None: social navigation.
             adapter: Adapter of clients; None: a network's training inputs, else the whole view, which only h3data sends.
 
         Raises:
             InputError: there is no such policy, or it does not move a base.
         """
-        self.task, self.name, self._network = find_task(task), name, None
+        self.task, self.name, self._network = find_task(task or SocialNav), name, None
         if is_address(name):
             raise InputError(
                 "Expected a policy of this machine to serve, got the address of a server.", code="H3-REMOTE-045"

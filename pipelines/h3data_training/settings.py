@@ -11,6 +11,7 @@ from h3data.render.light.sources import LightMode, check_light
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS, PATCH, PICTURES
 from sim_kinematic.sensing.encodings import DETECTOR, OF_SOCIAL_NAV
 from sim_kinematic.sensing.table import HUMANOID_GPS, PAPER_OBSERVATIONS
+from sim_kinematic.tasks.social_nav import SocialNav
 
 NETWORKS = ("cnn_gru", "resnet18_lstm")
 CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
@@ -154,7 +155,7 @@ class Settings:
     @property
     def task(self) -> str:
         """Name on the cards of policy files."""
-        return "social_nav"
+        return SocialNav.name
 
     @property
     def pictures(self) -> tuple[str, ...]:

@@ -44,8 +44,7 @@ class AgentSpec:
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
     """The map on which all agents of an episode can get everywhere: without its stairs if one of them cannot climb those."""
-    stays = any(isinstance(member.body, Robot) and not member.body.climbs_stairs for member in roster)
-    return free.without_stairs if stays else free
+    return free if all(member.body.climbs_stairs for member in roster) else free.without_stairs
 
 
 def make_roster(

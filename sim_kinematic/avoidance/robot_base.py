@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from h3data.bodies import Robot
+from h3data.bodies import Humanoid, Robot
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, Scene
@@ -30,13 +30,15 @@ class RobotBase(BaseSpec):
     """Discs of the base's radius along x that cover the whole robot at rest."""
 
 
-def base_of(robot: Robot, rules: BaseSpec) -> BaseSpec:
-    """Returns a task's rules for bases with the discs, limits and hull of one robot.
+def base_of(robot: Humanoid | Robot, rules: BaseSpec) -> BaseSpec:
+    """Returns a task's rules for bases with the discs, limits and hull of one robot; for a person, the rules themselves.
 
     The discs of `HOME_BASE` stand for the robot's own discs, those of `BaseSpec` for its profile ``habitat``, where it has one.
     What the rules set to another value than the default stays: they ask for something special. For ``quad_arm`` the result
     is ``rules`` itself.
     """
+    if isinstance(robot, Humanoid):
+        return rules
     own: dict[str, object] = {}
     discs = {
         HOME_BASE.disc_offsets_m: robot.base_discs,

@@ -43,7 +43,7 @@ def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> 
     """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
     if not isinstance(floor, FreeSpace):
         return ground_pose(xz, heading, floor)
-    return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m if isinstance(body, Robot) else 0.0)
+    return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m)
 
 
 def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps: float | None = None) -> Array:

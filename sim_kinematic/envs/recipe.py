@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import H3DataError
-from h3data.plugins import load_reference
+from h3data.plugins import load_reference, own_entries
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
@@ -33,10 +33,12 @@ class EnvRecipe:
         """Return the specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
         from gymnasium.envs.registration import EnvSpec
 
-        from sim_kinematic.tasks.registry import BUILT_IN
-
         name = self.task if isinstance(self.task, str) else self.task.name
-        words = name.title().replace("_", "") if name in BUILT_IN else "".join(c if c.isalnum() else "_" for c in name)
+        words = (
+            name.title().replace("_", "")
+            if name in own_entries("h3data.tasks")
+            else "".join(c if c.isalnum() else "_" for c in name)
+        )
         kwargs = {"task": self.task, "scenes": self.scenes, **self.options}
         # gymnasium.make and make_vec give these two themselves
         kwargs.pop("num_envs", None)

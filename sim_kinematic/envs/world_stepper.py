@@ -28,7 +28,7 @@ from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.sensing.agent_pictures import camera_names, picture_names
+from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.episode import Episode
@@ -482,7 +482,7 @@ class WorldStepper:
             for k in numbers
             for sensors in (self.task.sensors(roster[k].kind),)
         ]
-        pictures = [(*picture_names(roster[k].body), *camera_names(roster[k].body)) for k in numbers]
+        pictures = [(*picture_names(roster[k].body), *roster[k].body.camera_names) for k in numbers]
         known = [(*own, *seen) for own, seen in zip(states, pictures, strict=True)]
         names, sizes = split_sizes(names)
         names = [name for name in names if any(name in own for own in known)] if lone else names

@@ -292,8 +292,7 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
 
 def _base(episode: Episode, number: int) -> BaseSpec:
     """Return the base of a robot; for a person, whom no base limits, that of the rules."""
-    body = episode.roster[number].body
-    return base_of(body, episode.spec.robot) if episode.roster[number].kind == "robot" else episode.spec.robot
+    return base_of(episode.roster[number].body, episode.spec.robot)
 
 
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,26 +29,26 @@ from sim_kinematic.sensing.sensor import first_point
 from sim_kinematic.sensing.table import FOLLOWER, TABLE, Pose
 
 PREFIX = "weights:"
-SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
-    "social_nav": {name: f"policies/{name}.npz" for name in ("end_to_end", "end_to_end_paper")},
-    "rearrange": {
-        name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "plan_pop_3_pixels", "learn_pop")
-    },
+SHIPPED_NAVIGATORS: Mapping[str, str] = {name: f"policies/{name}.npz" for name in ("end_to_end", "end_to_end_paper")}
+"""Trained robots of social navigation that come with the package (h3data docs training)."""
+SHIPPED_HELPERS: Mapping[str, str] = {
+    name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "plan_pop_3_pixels", "learn_pop")
 }
-"""Trained robots that come with the package, by task and name (h3data docs training, h3data docs populations)."""
+"""Trained robots of rearrangement that come with the package (h3data docs populations)."""
 SHIPPED_PARTNERS: Mapping[str, str] = {
     f"{population}_partner_{k}": f"policies/{population}_partner_{k}.npz"
     for population in ("learn_single", "learn_pop")
     for k in range(3)
 }
 """Trained people of rearrangement: of three runs of Learn-Single, and three of the eight of Learn-Pop."""
-SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
+SHIPPED: Mapping[str, str] = {**SHIPPED_NAVIGATORS, **SHIPPED_HELPERS, **SHIPPED_PARTNERS}
 """Names of all included policies."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 """Name of a file of weights with the beginning of the digest of its contents."""
 
 Floats = NDArray[np.floating]
 AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
+Fitting = TypeVar("Fitting", bound=AnyNetwork)
 
 
 # --- names --------------------------------------------------------------------------------------------------------------
@@ -214,7 +214,7 @@ class LearnedNavigation:
     """A robot of social navigation whose base velocity is the output [2] of a network, clipped to -1..1."""
 
     def __init__(self, network: Network) -> None:
-        require(network, "social_nav", FOLLOWER, outputs=2)
+        require(network, FOLLOWER, outputs=2)
         self.network = network
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
@@ -243,9 +243,9 @@ class VisualNavigation:
             robot: name of the robot's body; empty if unknown.
 
         Raises:
-            FormatError: The network is for another task or another robot.
+            FormatError: The network does not fit, or is for another robot.
         """
-        require(network, "social_nav", (*visual_policy.PICTURES, *OF_COMMANDS), outputs=2)
+        require(network, (*visual_policy.PICTURES, *OF_COMMANDS), outputs=2)
         if robot and robot != network.card.robot:
             raise FormatError(
                 f"These weights drive the robot {network.card.robot}, the episode has {robot}.", code="H3-POLICY-020"
@@ -295,31 +295,35 @@ def naming(policy: str) -> Iterator[None]:
         raise FormatError(f"{fault} Policy: {policy}", code=fault.code) from None
 
 
-def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
-    """Return a fresh player of a network for one episode.
+def navigation_of(network: AnyNetwork, task: str, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
+    """Return a fresh player of a network for one episode of a task.
 
     Raises:
         FormatError: the network is for another task or another robot.
     """
-    if isinstance(network, VisualPolicy):
-        return VisualNavigation(network, robot=robot)
-    if isinstance(network, SkillPolicyNetwork):
+    fitting = trained_for(network, task, Network, VisualPolicy)
+    return VisualNavigation(fitting, robot=robot) if isinstance(fitting, VisualPolicy) else LearnedNavigation(fitting)
+
+
+def trained_for(network: AnyNetwork, task: str, *kinds: type[Fitting]) -> Fitting:
+    """Return a network that is for a task, and of one of some kinds.
+
+    Raises:
+        FormatError: It is for another task, or of another kind.
+    """
+    if network.task != task or not isinstance(network, kinds):
         raise FormatError(
-            f"Expected weights for the task social_nav, these are for {network.task!r}.", code="H3-POLICY-015"
+            f"Expected weights for the task {task}, these are for {network.task!r}.", code="H3-POLICY-016"
         )
-    return LearnedNavigation(network)
+    return network
 
 
-def require(network: Network | VisualPolicy, task: str, known: Collection[str], *, outputs: int) -> None:
-    """Check that a network is for a task, needs known observations only and has a number of outputs.
+def require(network: Network | VisualPolicy, known: Collection[str], *, outputs: int) -> None:
+    """Check that a network needs known observations only and has a number of outputs.
 
     Raises:
         FormatError: The network does not fit.
     """
-    if network.task != task:
-        raise FormatError(
-            f"Expected weights for the task {task}, these are for {network.task!r}.", code="H3-POLICY-016"
-        )
     strangers = [name for name in network.observations if name not in known]
     if strangers:
         raise FormatError(
@@ -329,6 +333,5 @@ def require(network: Network | VisualPolicy, task: str, known: Collection[str], 
         )
     if network.outputs != outputs:
         raise FormatError(
-            f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.",
-            code="H3-POLICY-018",
+            f"Expected a network with {outputs} outputs, this one has {network.outputs}.", code="H3-POLICY-018"
         )

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.policies.choosers.chooser_network import SkillPolicyNetwork
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
-from sim_kinematic.policies.learned import naming, network_of, require
+from sim_kinematic.policies.learned import naming, network_of, require, trained_for
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.views import RearrangeView
-
-TASK = "rearrange"
 
 
 class LearnedSkillPolicy:
@@ -35,10 +32,10 @@ class LearnedSkillPolicy:
             robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
-            FormatError: the network is for another task, another number of objects or the other agent.
+            FormatError: the network is for another number of objects or the other agent.
         """
         self.choices = choices(objects, robot=robot)
-        require(network, TASK, SENSES, outputs=len(self.choices))
+        require(network, SENSES, outputs=len(self.choices))
         self.network = network
 
     def act(self, view: RearrangeView) -> Action:
@@ -54,21 +51,17 @@ class LearnedSkillPolicy:
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
-def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedSkillPolicy | RecurrentSkillPolicy:
-    """Return the chooser that ``weights:FILE`` or the name of a trained policy means.
+def learned_chooser(policy: str, task: str, objects: int, *, robot: bool) -> LearnedSkillPolicy | RecurrentSkillPolicy:
+    """Return the chooser that ``weights:FILE`` or the name of a trained policy means, which has to be of a task.
 
     Raises:
         InputError: There is no such file, it is no file of weights, or the network does not fit.
     """
     network = network_of(policy)
     with naming(policy):
-        if isinstance(network, SkillPolicyNetwork):
-            return RecurrentSkillPolicy(network, objects, robot=robot)
-        if not isinstance(network, Network):
-            raise FormatError(
-                f"Expected weights for the task {TASK}, these are for {network.task!r}.", code="H3-POLICY-022"
-            )
-        return LearnedSkillPolicy(network, objects, robot=robot)
+        fitting = trained_for(network, task, Network, SkillPolicyNetwork)
+        player = RecurrentSkillPolicy if isinstance(fitting, SkillPolicyNetwork) else LearnedSkillPolicy
+        return player(fitting, objects, robot=robot)  # type: ignore[arg-type]
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:

@@ -17,8 +17,7 @@ from h3data.errors import InputError, suggest
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, is_learned, stamped
-from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS
 from sim_kinematic.policies.views import RearrangeView
 
 PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
@@ -267,12 +266,10 @@ def zsc_populations(partners: Iterable[str]) -> tuple[tuple[str, ...], ...]:
     return tuple(population for population in (ZSC, ZSC_TEN) if there.issuperset(population))
 
 
-def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
-    """Return a fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
-    if is_learned(name):
-        return learned_chooser(name, objects, robot=True)
+def robot_policy(name: str) -> HighLevelPolicy:
+    """Return a fresh robot policy; an `InputError` lists what exists."""
     if name not in ROBOT_POLICIES:
-        there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
+        there = (*ROBOT_POLICIES, *SHIPPED_HELPERS)
         raise InputError(
             f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
         )
@@ -280,12 +277,7 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
 
 
 def partner_plan(name: str, seed: int) -> str:
-    """Return the plan of a partner in the episode with this seed, a name in `PLANS`.
-
-    A learned partner (``weights:FILE``) has no plan; its recorded name is returned.
-    """
-    if is_learned(name):
-        return stamped(name)
+    """Return the plan of a partner in the episode with this seed, a name in `PLANS`."""
     if name in PLANS:
         return name
     if name not in POPULATIONS:
@@ -299,8 +291,6 @@ def partner_plan(name: str, seed: int) -> str:
 
 def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
     """Return a fresh partner for the episode with this seed."""
-    if is_learned(name):
-        return learned_chooser(name, objects, robot=False)
     return planner(partner_plan(name, seed), seed, objects)
 
 

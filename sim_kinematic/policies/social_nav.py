@@ -11,20 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.builtin import builtin_path
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.policies.learned import (
-    SHIPPED_IN,
-    LearnedNavigation,
-    is_learned,
-    naming,
-    navigation_of,
-    network_of,
-)
+from sim_kinematic.policies.learned import LearnedNavigation
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
@@ -293,17 +286,3 @@ POLICIES: dict[str, Policy] = {
 EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
 """Experts that, chosen by name, also back out of places where they are stuck (`sim_kinematic.policies.maneuvering`).
 `heuristic_expert` has the paper's two rules and no more."""
-
-
-def policy_by_name(name: str) -> Policy:
-    """Return the policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
-    if is_learned(name):
-        network = network_of(name)
-        with naming(name):
-            return navigation_of(network)
-    if name not in POLICIES:
-        there = [*POLICIES, *SHIPPED_IN["social_nav"]]
-        raise InputError(
-            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
-        )
-    return POLICIES[name]

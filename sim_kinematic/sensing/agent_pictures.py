@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.replay.cameras import HUMAN_HEAD, MAX_SIDE_PX
+from h3data.replay.cameras import MAX_SIDE_PX
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.sensing.lidar import COLUMNS, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, Detection, detect_humanoids
@@ -61,17 +61,9 @@ def picture_names(body: Body) -> tuple[str, ...]:
     return (*names, *(DETECTORS if ARM in cameras else ()), LIDAR_3D)
 
 
-def camera_names(body: Body) -> tuple[str, ...]:
-    """Return names of the cameras that a body carries, each of which is also an observation: the colours that this camera sees.
-
-    They are the names that recordings, ``h3data rerender`` and the videos of datasets give them.
-    """
-    return (HUMAN_HEAD,) if isinstance(body, Humanoid) else tuple(camera.name for camera in body.cameras)
-
-
 def in_colour(name: str, body: Body) -> bool:
     """Return whether a picture of a body shows colours rather than depth or an output of the detector."""
-    return name.endswith("_rgb") or name in camera_names(body)
+    return name.endswith("_rgb") or name in body.camera_names
 
 
 class AgentPictures:
@@ -91,7 +83,7 @@ class AgentPictures:
 
         Args:
             body: body of the agent.
-            names: its observations; those in `picture_names` and `camera_names` are pictures.
+            names: its observations; those in `picture_names`, and names of the cameras of the body, are pictures.
             agent: its number in the state.
             depth_size: width and height of depth, masks and boxes [px]; None is each camera's own. The field of view does not
                 change.
@@ -108,7 +100,7 @@ class AgentPictures:
                     f"Expected a picture of 1 x 1 to {MAX_SIDE_PX} x {MAX_SIDE_PX} pixels (width, height), got {size}.",
                     code="H3-SIM-039",
                 )
-        known = (*picture_names(body), *camera_names(body))
+        known = (*picture_names(body), *body.camera_names)
         self.names = tuple(name for name in names if name in known)
         self._agent, self._body = agent, body
         self._lenses = {

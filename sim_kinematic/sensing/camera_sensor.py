@@ -28,7 +28,7 @@ from h3data.render import Camera, Light, Output, Renderer, RenderInstance, Rende
 from h3data.render.light.sources import BAKERS, LightMode, sources_of
 from h3data.render.raster.hulls import may_see
 from h3data.render.renderer import Backend
-from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
+from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh, Scene, Shape
 from h3data.scene.records import Capsule, Instance, instance_matrix
@@ -243,7 +243,7 @@ class StateRenderer:
             camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)
             poses = body.camera_poses(name, frames)
         else:
-            camera = pinhole(*HEAD_SIZE, hfov_deg=HEAD_HFOV_DEG, name=HUMAN_HEAD, near=HEAD_NEAR_M)
+            camera = pinhole(*HEAD_SIZE, hfov_deg=HEAD_HFOV_DEG, name=body.camera_names[0], near=HEAD_NEAR_M)
             poses = frames[:, body.joint_names.index("head")] @ HEAD_POSE
         if size is not None:
             camera = pinhole(*size, hfov_deg=camera.hfov_deg, name=camera.name, near=camera.near)

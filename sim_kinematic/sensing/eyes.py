@@ -43,7 +43,7 @@ def see(
         state: One world.
         scene: The home.
         bodies: Bodies of all agents in the order of the state.
-        names: Some of `sim_kinematic.sensing.agent_pictures.picture_names` and ``camera_names``.
+        names: Some of `sim_kinematic.sensing.agent_pictures.picture_names` and of the names of the cameras of the body.
         agent: Number of the agent whose cameras are used.
         size: Width and height [pixels], one for all or by name of a picture; None is each camera's own.
         floor: Map of the home's floor, or the height of that floor [m].

@@ -70,6 +70,9 @@ class EpisodeCodec(Generic[R]):
     """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
+    foreign: ClassVar[str] = ""
+    """Key in ``extra`` of other tools' episodes that the codec understands, such as PARTNR's; empty: there are none."""
+
     def __init__(self, task: Any) -> None:
         """Make the codec of a `sim_kinematic.tasks.task.Task`."""
         self.task = task

@@ -89,8 +89,7 @@ def sample_starts(
 @lru_cache(maxsize=256)
 def agent_base(episode: Episode, number: int) -> BaseSpec:
     """Return discs and limits of an agent that drives: a robot's own, else the rules'."""
-    body = episode.roster[number].body
-    return base_of(body, episode.spec.robot) if isinstance(body, Robot) else episode.spec.robot
+    return base_of(episode.roster[number].body, episode.spec.robot)
 
 
 @lru_cache(maxsize=256)

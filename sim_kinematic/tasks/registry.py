@@ -1,4 +1,4 @@
-"""Lookup of tasks by name: included ones, entry points of the group ``h3data.tasks``, and ``module:Class``."""
+"""Lookup of tasks by name: entry points of the group ``h3data.tasks``, and ``module:Class``."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ from h3data.errors import InputError
 from h3data.plugins import Registry
 from sim_kinematic.tasks.task import Task
 
-BUILT_IN = {
-    # as text, so that a task is imported only when it is looked up
-    "social_nav": "sim_kinematic.tasks.social_nav:SocialNav",
-    "rearrange": "sim_kinematic.tasks.rearrange.task:Rearrange",
-    "wander": "sim_kinematic.tasks.wander:Wander",
-}
-
 
 @cache
 def task_registry() -> Registry[Any]:
     """Return all tasks by name."""
-    return Registry("h3data.tasks", BUILT_IN, what="task")
+    return Registry("h3data.tasks", {}, what="task")
 
 
 def find_task(task: str | Task | type[Task]) -> Task:

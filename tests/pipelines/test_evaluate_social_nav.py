@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from h3data.errors import InputError
 from h3data.metrics import measure, measure_files, measure_many
 from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
-from h3data.metrics.paper.protocol import protocol_deviations
+from h3data.metrics.paper.protocol import REARRANGEMENT_PROTOCOL, SOCIAL_NAV_PROTOCOL, protocol_deviations
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
@@ -172,10 +173,10 @@ def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
     columns = {"time_ns": np.arange(2), "agent_0.base_pose": pose, "agent_1.base_pose": pose}
     recording = Recording(episode=episode, agents=agents, columns=columns)
-    assert protocol_deviations(recording) == ""
+    assert protocol_deviations(recording, SOCIAL_NAV_PROTOCOL) == ""
     other = {**spec, "spawn_distance_m": 3.0, "human": {"speed_mps": 1.0}}
     changed = replace(recording, episode=replace(episode, info={"spec": other}), agents=agents[1:])
-    assert protocol_deviations(changed) == (
+    assert protocol_deviations(changed, SOCIAL_NAV_PROTOCOL) == (
         "spawn_distance_m 3.0 (paper 5.0), human.speed_mps 1.0 (paper 2.5), agents human (paper robot, human)"
     )
     assert measure(recording).protocol_deviations == ""
@@ -183,15 +184,17 @@ def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
-def test_the_papers_rules_do_not_differ_from_the_paper(task: str) -> None:
+@pytest.mark.parametrize(
+    ("task", "protocol"), [("social_nav", SOCIAL_NAV_PROTOCOL), ("rearrange", REARRANGEMENT_PROTOCOL)]
+)
+def test_the_papers_rules_do_not_differ_from_the_paper(task: str, protocol: Mapping[str, Any]) -> None:
     def deviations(rules: str) -> str:
         spec = rules_dict(with_options(find_task(task).Spec(), rules=rules))
         episode = Episode(uid="u", episode_id="e", task=task, scene="s", info={"spec": spec})
         agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
         pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
         columns = {"time_ns": np.arange(2), "agent_0.base_pose": pose, "agent_1.base_pose": pose}
-        return protocol_deviations(Recording(episode=episode, agents=agents, columns=columns))
+        return protocol_deviations(Recording(episode=episode, agents=agents, columns=columns), protocol)
 
     assert deviations("paper") == ""
     assert deviations("natural") != ""
@@ -217,7 +220,8 @@ def test_rearrangement_with_learned_skills_or_with_agents_that_heed_each_other_i
         pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
         poses = {f"agent_{k}.base_pose": pose for k in range(len(agents))}
         return protocol_deviations(
-            Recording(episode=episode, agents=agents, columns={"time_ns": np.arange(2), **poses})
+            Recording(episode=episode, agents=agents, columns={"time_ns": np.arange(2), **poses}),
+            REARRANGEMENT_PROTOCOL,
         )
 
     assert deviations(people_give_way=False) == deviations() == ""

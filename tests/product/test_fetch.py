@@ -13,13 +13,15 @@ import pytest
 import h3data
 from examples.fetch import Fetch, drawer_of
 from h3data.errors import SceneError
-from h3data.recording import Recording
+from h3data.recording import Recording, read_mcap
 from h3data.scene import Scene
 from h3data.scenes import HomeSpec, build_home
+from h3data_play.plan import GameOrder
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.paths import ROOT
+from tests.play.test_live import Player, table
 
 FACES = {"h3data", *(f"h3data.{name}" for name in ("errors", "policies", "recording", "tasks"))}
 
@@ -87,3 +89,19 @@ def test_a_person_whose_way_a_drawer_bars_chooses_again(home: Scene) -> None:
     """The robot opens the drawer where the person was about to stand."""
     barred = simulate(Fetch(), EpisodeSource(Fetch(), home).sample(1, 0), info={"solo_steps": 1})
     assert ("nav_to_goal", "failed", "stuck") in {(s.name, s.outcome, s.reason) for s in barred.skills if s.agent == 1}
+
+
+@pytest.mark.slow
+def test_it_is_played_live(tmp_path: Path) -> None:
+    """By its own name: a task needs no app."""
+    game = table(tmp_path, app="examples.fetch:Fetch", scenes="small-open:2").begin(GameOrder(index=0, name="000000"))
+    player = Player(game)
+    assert game.app.hud(player.number).task.startswith("Open ")
+    assert len(game.app.goals()) == 2
+    player.send(k="pick", o=0, lead=True)
+    player.until_free()
+    assert game.columns[f"agent_{player.number}.grasp_body"][-1] >= 0, player.said
+    game.close()
+    live = read_mcap(tmp_path / "000000.mcap")
+    assert live.episode.task == "fetch"
+    assert verify(live).difference is None

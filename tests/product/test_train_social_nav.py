@@ -15,8 +15,9 @@ torch = pytest.importorskip("torch")
 
 from h3data.errors import InputError  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
+from sim_kinematic.policies.assignment import resolve_policy  # noqa: E402
 from sim_kinematic.policies.network import load_network  # noqa: E402
-from sim_kinematic.policies.social_nav import policy_by_name  # noqa: E402
+from sim_kinematic.tasks.registry import find_task  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 EXAMPLE = EXAMPLES / "train_social_nav.py"
@@ -55,7 +56,7 @@ def test_it_learns_and_its_weights_play(example: dict[str, Any], bank: EpisodeBa
     network = load_network(tmp_path / "net.npz")
     assert network.observations == example["OBSERVATIONS"]
     assert network.inputs == len(network.mean) == len(network.scale) == 21
-    policy_by_name(f"weights:{tmp_path / 'net.npz'}")
+    resolve_policy(find_task("social_nav"), "robot", f"weights:{tmp_path / 'net.npz'}", None)
 
 
 @pytest.mark.slow

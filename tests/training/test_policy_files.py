@@ -252,17 +252,17 @@ def test_a_flat_policy_sees_flat_light_in_an_episode_whose_environment_is_baked(
 def test_every_episode_starts_without_memory(file: Path) -> None:
     network = network_of(f"weights:{file}")
     assert network_of(f"weights:{file}@{network.digest[:12]}") is not None
-    a, b = navigation_of(network), navigation_of(network)
+    a, b = navigation_of(network, "social_nav"), navigation_of(network, "social_nav")
     assert a is not b
 
 
 def test_other_tasks_and_robots_are_refused(file: Path) -> None:
-    with pytest.raises(FormatError, match=r"(?s)rearrange.*'social_nav'.*H3-POLICY-022"):
-        learned_chooser(f"weights:{file}", 2, robot=True)
+    with pytest.raises(FormatError, match=r"(?s)rearrange.*'social_nav'.*H3-POLICY-016"):
+        learned_chooser(f"weights:{file}", "rearrange", 2, robot=True)
     with pytest.raises(FormatError, match=r"(?s)social_nav.*'rearrange'.*H3-POLICY-016"):
-        navigation_of(untrained(task="rearrange"))
+        navigation_of(untrained(task="rearrange"), "social_nav")
     with pytest.raises(FormatError, match=r"(?s)quad_arm.*mobile_arm.*H3-POLICY-020"):
-        navigation_of(untrained(), robot="mobile_arm")
+        navigation_of(untrained(), "social_nav", robot="mobile_arm")
 
 
 def test_a_policy_that_is_named_wrongly_is_told_its_name(

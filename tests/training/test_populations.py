@@ -44,8 +44,9 @@ from sim_kinematic.policies.choosers.chooser_network import (
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed, observed
-from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
-from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
+from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS, network_of
+from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.rearrange import ZSC_TEN, planner
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.play import WorldRollout
@@ -638,8 +639,8 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     assert (robot.card.agent, person.card.agent, robot.card.objects) == ("robot", "human", 2)
     assert robot.card.training["population"] == "learn_single"
     assert not same(dict(robot.arrays), dict(chooser().arrays))
-    assert robot_policy(f"weights:{whole / POLICY}")
-    assert partner_policy(f"weights:{whole / 'partner_0.npz'}", 1)
+    assert learned_chooser(f"weights:{whole / POLICY}", "rearrange", 2, robot=True)
+    assert learned_chooser(f"weights:{whole / 'partner_0.npz'}", "rearrange", 2, robot=False)
     task, plays = find_task("rearrange"), []
     for _ in range(2):
         named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
@@ -767,11 +768,11 @@ def test_files_that_do_not_fit_are_refused(
         ("robot", f"weights:{person}", spec, "(?s)for a robot, these are for a human.*H3-POLICY-009"),
         ("human", f"weights:{robot}", spec, "(?s)for a human, these are for a robot.*H3-POLICY-009"),
         ("robot", f"weights:{robot}", replace(spec, objects=3), "(?s)know 2 objects, the episode has 3.*H3-POLICY-010"),
-        ("robot", "end_to_end", spec, "(?s)for the task rearrange, these are for 'social_nav'.*H3-POLICY-022"),
+        ("robot", "end_to_end", spec, "(?s)for the task rearrange, these are for 'social_nav'.*H3-POLICY-016"),
     ):
         with pytest.raises(FormatError, match=message):
             resolve_policy(task, kind, file, rules)
-    with pytest.raises(FormatError, match=r"(?s)social_nav.*'rearrange'.*H3-POLICY-015"):
+    with pytest.raises(FormatError, match=r"(?s)social_nav.*'rearrange'.*H3-POLICY-016"):
         resolve_policy(find_task("social_nav"), "robot", f"weights:{robot}", find_task("social_nav").Spec())
     with pytest.raises(FormatError, match=r"(?s)quad_arm.*wheeled.*H3-POLICY-011"):
         RecurrentSkillPolicy(chooser()).require_body("wheeled")
@@ -814,7 +815,7 @@ def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
 
 
 def test_trained_policies_come_with_the_package() -> None:
-    for names, agent in ((SHIPPED_IN["rearrange"], "robot"), (SHIPPED_PARTNERS, "human")):
+    for names, agent in ((SHIPPED_HELPERS, "robot"), (SHIPPED_PARTNERS, "human")):
         cards = {}
         for name in names:
             network = network_of(name)
@@ -826,7 +827,7 @@ def test_trained_policies_come_with_the_package() -> None:
     seeds = [network_of(f"learn_single_partner_{k}").card.training["seed"] for k in range(3)]  # type: ignore[union-attr]
     assert len(set(seeds)) == 3
     task = find_task("rearrange")
-    assert set(SHIPPED_IN["rearrange"]) < set(task.policies["robot"])
+    assert set(SHIPPED_HELPERS) < set(task.policies["robot"])
     assert set(ZSC_TEN) < set(task.policies["human"])
 
 

@@ -8,9 +8,11 @@ from typing import Any, ClassVar, NamedTuple
 
 from h3data.errors import InputError
 from h3data.plugins import Registry
-from h3data_play.drivers import Driver
+from h3data_play.drivers import Driver, PersonDriver, RobotDriver
 from h3data_play.messages import Act
+from sim_kinematic.tasks.rearrange.codec import spoken
 from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.task import Task
 
 _LEAF = "leaf"
 """The part of a door between rooms, in homes of the generator."""
@@ -71,8 +73,8 @@ class App:
     happened, `hud` for what each player reads.
     """
 
-    task: ClassVar[str] = ""
-    """Name of the task, or ``module:Class``."""
+    task: ClassVar[str | type[Task]] = ""
+    """Class of the task, its name, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
     """Rules of the task that differ where people play it."""
     seats: ClassVar[tuple[str, ...]] = ("person",)
@@ -94,8 +96,11 @@ class App:
         self.session = session
 
     def driver(self, number: int) -> Driver:
-        """Returns the driver with which a player moves agent ``number``."""
-        return Driver(self.session, number)
+        """Returns the driver with which a player moves agent ``number``: one with skills, if the task has them."""
+        if not self.session.task.control.has_skills:
+            return Driver(self.session, number)
+        is_person = self.session.episode.roster[number].kind == "human"
+        return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:
         """Reason why a message of the player of agent ``number`` is not carried out now, as a sentence; empty if it is.
@@ -121,8 +126,9 @@ class App:
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
 
     def goals(self) -> list[Goal]:
-        """Markers in the home."""
-        return []
+        """Markers in the home: where things have to go, in tasks that have such goals."""
+        targets = getattr(self.session.episode, "targets", ())
+        return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
         """Messages that are sent by one press. Where there are some, the page has a box for others too."""
@@ -170,27 +176,21 @@ def sentence_of(words: str) -> str:
 
 
 def _require_app(found: Any) -> None:
-    if not (isinstance(found, type) and issubclass(found, App) and found.task):
-        raise InputError("Expected a subclass of h3data_play.app.App that names its task.", code="H3-PLAY-001")
+    if not isinstance(found, type) or not (issubclass(found, Task) or (issubclass(found, App) and found.task)):
+        raise InputError(
+            "Expected a subclass of h3data_play.app.App that names its task, or of h3data.tasks.Task.",
+            code="H3-PLAY-001",
+        )
 
 
-_APPS: Registry[Any] = Registry(
-    "h3data.apps",
-    {
-        "rearrange": "h3data_play.apps.rearrange:RearrangeApp",
-        "social_nav": "h3data_play.apps.social_nav:FollowMeApp",
-        "tutorial": "h3data_play.apps.tutorial:TutorialApp",
-        "teleop": "h3data_play.apps.teleop:TeleopApp",
-    },
-    what="app",
-    check=_require_app,
-)
+_APPS: Registry[Any] = Registry("h3data.apps", {}, what="app", check=_require_app)
 
 
 def find_app(name: str) -> type[App]:
-    """The app with a name, or ``module:Class``.
+    """The app with a name, or ``module:Class``, where the class may also be that of a task.
 
     Raises:
         InputError: there is none.
     """
-    return _APPS.get(name)
+    found = _APPS.get(name)
+    return type(found.__name__, (App,), {"task": found}) if issubclass(found, Task) else found

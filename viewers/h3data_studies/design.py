@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from h3data_play.plan import PlayPlan
+from sim_kinematic.tasks.rearrange.task import Rearrange
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 Text = str | dict[str, str]
@@ -25,7 +26,7 @@ class Condition(Record, frozen=True):
     """Condition of one block of episodes."""
 
     name: Name
-    app: str = "rearrange"
+    app: str = Rearrange.name
     play_as: Literal["person", "robot"] = "person"
     partner: str | None = None
     """Policy of all agents that nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,6 +107,12 @@ class Humanoid:
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """The shape parameters from which the body was baked."""
+    camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
+    """Names of the cameras that the body carries: its view, between the eyes in the direction of the head."""
+    climbs_stairs: ClassVar[bool] = True
+    """True: all people climb stairs, which not all robots do."""
+    climbing_length_m: ClassVar[float] = 0.0
+    """Length over which the body pitches on stairs, as robots do: 0, as people stay upright [m]."""
 
     @property
     def mesh(self) -> Mesh:

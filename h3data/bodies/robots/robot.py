@@ -149,6 +149,11 @@ class Robot:
         """Names of all links, in the order of `links`."""
         return tuple(link.name for link in self.links)
 
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of all cameras, in the order of `cameras`; recordings and videos call them so."""
+        return tuple(camera.name for camera in self.cameras)
+
     @cached_property
     def base_shapes(self) -> tuple[Cylinder, ...]:
         """The base as the paper has it: upright cylinders over ``base_discs``, in the agent root frame."""
@@ -287,7 +292,7 @@ class Robot:
         for camera in self.cameras:
             if camera.name == name:
                 return camera
-        known = ", ".join(c.name for c in self.cameras) or "none"
+        known = ", ".join(self.camera_names) or "none"
         raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.", code="H3-BODY-093")
 
     def camera_poses(self, name: str, link_matrices: Array) -> Array:
@@ -299,5 +304,5 @@ class Robot:
         triangles = sum(len(link.mesh.faces) for link in self.links if link.mesh is not None)
         return (
             f"Robot({self.name!r}, {len(self.links)} links, {len(self.joint_names)} joints, {triangles} triangles, "
-            f"cameras {', '.join(c.name for c in self.cameras) or 'none'})"
+            f"cameras {', '.join(self.camera_names) or 'none'})"
         )

@@ -9,34 +9,39 @@ from h3data.recording import Recording
 
 # 10 of Habitat's units, the speeds of the paper's agents (spec/habitat.md 0)
 _PACE = {"human.speed_mps": 2.5, "human.turn_rad_s": 2.5, "robot.max_speed_mps": 2.5, "robot.max_turn_rad_s": 2.5}
-PROTOCOL: dict[str, dict[str, Any]] = {
-    "social_nav": {
-        "max_steps": 1500,
-        # of evaluation; training starts at 3 m
-        "spawn_distance_m": 5.0,
-        "near_m": 1.0,
-        "far_m": 2.0,
-        "facing_dot": 0.5,
-        "end_on_collision": True,
-        # the two cylinders of v0.3.0, the paper's release; later ones have three (spec/habitat.md 1.1)
-        "robot.disc_offsets_m": (0.0, 0.225),
-        **_PACE,
-    },
-    "rearrange": {"max_steps": 750, "objects": 2, "at_goal_m": 0.3, "end_on_collision": True, **_PACE},
+SOCIAL_NAV_PROTOCOL: Mapping[str, Any] = {
+    "max_steps": 1500,
+    # of evaluation; training starts at 3 m
+    "spawn_distance_m": 5.0,
+    "near_m": 1.0,
+    "far_m": 2.0,
+    "facing_dot": 0.5,
+    "end_on_collision": True,
+    # the two cylinders of v0.3.0, the paper's release; later ones have three (spec/habitat.md 1.1)
+    "robot.disc_offsets_m": (0.0, 0.225),
+    **_PACE,
 }
-"""The paper's rules (section 4, appendix) by task, under their names in ``info["spec"]``."""
+"""The paper's rules of social navigation (section 4, appendix), under their names in ``info["spec"]``."""
+REARRANGEMENT_PROTOCOL: Mapping[str, Any] = {
+    "max_steps": 750,
+    "objects": 2,
+    "at_goal_m": 0.3,
+    "end_on_collision": True,
+    **_PACE,
+}
+"""The paper's rules of social rearrangement."""
 
 
-def protocol_deviations(recording: Recording) -> str:
+def protocol_deviations(recording: Recording, protocol: Mapping[str, Any]) -> str:
     """Returns text such as ``max_steps 60 (paper 1500), agents robot, robot (paper robot, human)``; empty if nothing deviates.
 
-    Rules that the recording does not state are taken to agree.
+    Rules that the recording does not state are taken to agree with the protocol.
     """
-    task, spec = recording.episode.task, recording.episode.info.get("spec")
-    if task not in PROTOCOL or not isinstance(spec, Mapping):
+    spec = recording.episode.info.get("spec")
+    if not isinstance(spec, Mapping):
         return ""
     recorded: dict[str, Any] = {}
-    for name in PROTOCOL[task]:
+    for name in protocol:
         group, _, key = name.rpartition(".")
         of = spec.get(group) if group else spec
         value = of.get(key) if isinstance(of, Mapping) else None
@@ -44,7 +49,7 @@ def protocol_deviations(recording: Recording) -> str:
         recorded[name] = tuple(value) if isinstance(value, list) else value
     deviations = [
         f"{name} {recorded[name]} (paper {paper})"
-        for name, paper in PROTOCOL[task].items()
+        for name, paper in protocol.items()
         if recorded[name] not in (None, paper)
     ]
     human = spec.get("human")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.metrics.episode import Notes, first_moments
 from h3data.metrics.metric import INF, NAN, Metric, Series
-from h3data.metrics.paper.protocol import protocol_deviations
+from h3data.metrics.paper.protocol import REARRANGEMENT_PROTOCOL, protocol_deviations
 from h3data.metrics.profile import Computed
 from h3data.metrics.requirements import OR, note_missing
 from h3data.recording.records import Recording
@@ -145,7 +145,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     # a person alone cannot touch a robot: CR is 0 without a column of contacts
     alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)
     missing = note_missing([m for m in REARRANGEMENT if not (alone and m.name == "CR")], recording, notes)
-    deviations = protocol_deviations(recording)
+    deviations = protocol_deviations(recording, REARRANGEMENT_PROTOCOL)
     if not len(recording):
         notes.add((m.name for m in REARRANGEMENT), "the recording has no rows")
         return Computed(values={}, protocol_deviations=deviations)

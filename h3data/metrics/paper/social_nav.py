@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.metrics.episode import Notes
 from h3data.metrics.metric import NAN, Series
 from h3data.metrics.paper.encounter import encounter_series, found_series
-from h3data.metrics.paper.protocol import protocol_deviations
+from h3data.metrics.paper.protocol import SOCIAL_NAV_PROTOCOL, protocol_deviations
 from h3data.metrics.profile import GFX_REPLAY, Computed
 from h3data.metrics.requirements import find_agents
 from h3data.recording.records import Recording
@@ -43,7 +43,7 @@ def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) 
                 robot=robot,
                 human=human,
                 moments={name: of.first for name, of in (("found", found[k]), ("collision", contacts[k])) if of.total},
-                protocol_deviations=protocol_deviations(recording),
+                protocol_deviations=protocol_deviations(recording, SOCIAL_NAV_PROTOCOL),
             )
         )
     return computed

@@ -37,6 +37,8 @@ from sim_kinematic.agents.driven.commands import HandOver, PersonCommand, Pick
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.wander import Wander
 
 FRAMES, WIDTH, ROW_PX = 12, 1440, 184
 HOME, SEED = "small:1", 3
@@ -106,7 +108,7 @@ def around(step: int, every: int, length: int, *, before: float = 0.5) -> NDArra
 def corridor() -> NDArray[np.uint8]:
     """The rows of a corridor."""
     home = h3data.build_home(h3data.HomeSpec(preset="medium", seed=3))
-    recording = h3data.simulate("wander", home, roster="robot,female_1", seed=1, max_steps=1800)
+    recording = h3data.simulate(Wander, home, roster="robot,female_1", seed=1, max_steps=1800)
     stage, length = Stage(Replay(recording)), len(recording)
     xz = stage.base[:, [0, 2]]
     halls = np.concatenate([room.rectangles for room in home.rooms if room.category == "hall"])
@@ -121,7 +123,7 @@ def corridor() -> NDArray[np.uint8]:
 
 def handling() -> NDArray[np.uint8]:
     """The rows of an episode of rearrangement."""
-    recording = h3data.simulate("rearrange", HOME, seed=SEED, rules="natural")
+    recording = h3data.simulate(Rearrange, HOME, seed=SEED, rules="natural")
     replay, length = Replay(recording), len(recording)
     stage = Stage(replay)
     spans = [s for s in recording.skills if s.agent == PERSON and s.outcome in ("done", "running")]
@@ -146,7 +148,7 @@ def handling() -> NDArray[np.uint8]:
 
 def handed_over() -> Recording:
     """A person takes the first object and gives it to the robot, which keeps still."""
-    session = h3data.session("rearrange", HOME, seed=SEED, agents={"person": External(), "robot": "still"})
+    session = h3data.session(Rearrange, HOME, seed=SEED, agents={"person": External(), "robot": "still"})
     play: Any = session.play  # a person who is driven has more than the interface of a session
     person, robot = play.team.people[0], play.team.actors[0]
     for choice in (Action("nav_to_object", 0), Pick(0)):

@@ -12,6 +12,7 @@ import numpy as np
 import h3data
 from h3data.render.image_files import write_jpg
 from h3data.replay import CameraTrack, Replay, camera_at
+from h3data_crowds.crowd_nav import CrowdNav
 
 ROSTER = ("robot", "female_0", "male_1", "female_2", "male_3")
 SCENE, SEED = "medium:1", 6
@@ -20,7 +21,7 @@ SHARES = (0.15, 0.35, 0.55, 0.75)
 
 def main(out: str) -> None:
     """Plays an episode and writes the picture."""
-    recording = h3data.simulate("crowd_nav", SCENE, roster=ROSTER, agents={"robot": "mpc"}, seed=SEED)
+    recording = h3data.simulate(CrowdNav, SCENE, roster=ROSTER, agents={"robot": "mpc"}, seed=SEED)
     replay = Replay(recording, light="baked")
     shots = [("third_person", int(share * (len(recording) - 1))) for share in SHARES]
     pictures = []

@@ -16,6 +16,7 @@ from h3data.recording.scans import Scan, clouds_of, scans_of
 from h3data.render import Camera
 from h3data.render.image_files import write_jpg
 from h3data.replay import CameraTrack, Replay, camera_at
+from sim_kinematic.tasks.social_nav import SocialNav
 
 CAMERAS = ("third_person", "top_down")
 STEP, DOT_PX, COLOR = 150, (2, 1), (232, 30, 160)
@@ -50,9 +51,7 @@ def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np
 
 def main(out: str) -> None:
     """Plays an episode and writes the picture."""
-    recording = h3data.simulate(
-        "social_nav", "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d")
-    )
+    recording = h3data.simulate(SocialNav, "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d"))
     replay = Replay(recording, light="baked")
     pictures = [picture(replay, scans_of(recording)[0], name) for name in CAMERAS]
     pictures.append(picture(replay, clouds_of(recording)[0], CAMERAS[0]))

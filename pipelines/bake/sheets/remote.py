@@ -20,6 +20,7 @@ from websockets.sync.server import ServerConnection, serve
 
 import h3data
 from h3data_remote.wire import OPENPI
+from sim_kinematic.tasks.social_nav import SocialNav
 
 CHUNK, STEPS, PANELS, AWAY_M, FIRST = 5, 400, 5, 2.8, 15
 SCENE, SEED = "medium:1", 9
@@ -54,7 +55,7 @@ def requests() -> list[Request]:
     with serve(handle, "127.0.0.1", 0, compression=None, max_size=None) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"ws://127.0.0.1:{server.socket.getsockname()[1]}?adapter=openpi"
-        h3data.simulate("social_nav", SCENE, seed=SEED, max_steps=STEPS, agents={"robot": address})
+        h3data.simulate(SocialNav, SCENE, seed=SEED, max_steps=STEPS, agents={"robot": address})
         server.shutdown()
     return seen
 

@@ -18,6 +18,7 @@ from h3data.recording import Recording
 from h3data.render.image_files import write_jpg
 from h3data.replay import CameraTrack, Replay, camera_at
 from h3data.scene import FreeSpace, load_scene
+from h3data_crowds.crowd_nav import CrowdNav
 
 ROSTER = ("robot", "human", "human", "human", "human")
 EVERY, CELL_M = 3, 0.05
@@ -48,7 +49,7 @@ def write_tracks(episode: Recording, folder: Path) -> None:
 
 def main(out: str) -> None:
     """Plays an episode, writes its tracks, imports them and writes the picture."""
-    episode = h3data.simulate("crowd_nav", "small:1", roster=ROSTER, agents={"robot": "mpc"}, seed=5)
+    episode = h3data.simulate(CrowdNav, "small:1", roster=ROSTER, agents={"robot": "mpc"}, seed=5)
     with TemporaryDirectory() as name:
         folder = Path(name)
         write_tracks(episode, folder)

@@ -29,6 +29,7 @@ from h3data_light.bake import lit_scene
 from h3data_pipelines.assets.scene_plan import scene_map
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.wander import Wander
 
 SEED, WIDTH = 3, 1920
 UPPER_M = 1.2
@@ -120,7 +121,7 @@ def film(
 
 def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
     """Strips of two people and a robot."""
-    task, rows = find_task("wander"), []
+    task, rows = find_task(Wander), []
     spec = replace(task.usage.dataset_rules, max_steps=900)
     found: dict[str, NDArray[np.uint8]] = {}
     for seed in range(12):

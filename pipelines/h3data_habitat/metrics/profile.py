@@ -17,7 +17,8 @@ from h3data.geometry import pose_to_matrix
 from h3data.metrics.episode import Notes, first_moments
 from h3data.metrics.habitat_settings import HabitatConfig
 from h3data.metrics.metric import INF, Metric, Series
-from h3data.metrics.profile import GFX_REPLAY, Computed, Profile
+from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
+from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
 from h3data.metrics.requirements import find_agents, note_missing
 from h3data.recording.records import Recording
@@ -178,7 +179,7 @@ def _profile(name: str, title: str, metrics: tuple[Metric, ...]) -> Profile:
     return Profile(
         name=name,
         title=title,
-        tasks=("social_nav", GFX_REPLAY),
+        tasks=SOCIAL_NAV_PROFILE.tasks,
         metrics=metrics,
         compute=functools.partial(compute_habitat, metrics=metrics, variant=name),
         series=functools.partial(habitat_series, variant=name),

@@ -15,7 +15,7 @@ from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, Rearran
 from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
 from h3data.recording.task_episodes.stored_episodes import task_of
 from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement, read_rearrangement
-from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.registry import find_task, task_registry
 
 _LISTED = 6
 _LONGEST = 48
@@ -153,13 +153,11 @@ def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
 
 
 def _record_of(episode: RearrangeEpisode) -> StoredRearrangement | None:
-    """Return the record of an episode with objects: that of the task ``language`` for PARTNR's, if it is installed."""
-    if PROPOSITIONS in episode.extra and task_of(episode) is None:
-        try:
-            codec = find_task("language").codec
-        except H3DataError:
-            return read_rearrangement(episode)
-        return codec.read(episode, seed=0)
+    """Return the record of an episode with objects: that of the task that understands all of it, if it is installed."""
+    if task_of(episode) is None:
+        for task in map(find_task, task_registry().load_all().values()):
+            if task.codec.foreign in episode.extra:
+                return task.codec.read(episode, seed=0)
     return read_rearrangement(episode)
 
 

@@ -16,6 +16,7 @@ from h3data.commands.command import (
     ForceFlag,
     JsonFlag,
     MissingFlag,
+    NameOf,
     Observe,
     ObserveOption,
     Outcome,
@@ -25,12 +26,13 @@ from h3data.commands.command import (
     read_overrides,
 )
 from h3data.commands.executors import ExecutorOption
-from h3data.commands.options import OfTasks, TaskNotes, command_of
+from h3data.commands.options import command_of
 from h3data.errors import suggest_keywords
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
+from h3data_pipelines.task_options import PLAYED, SKILL, WITH_SKILLS, of_tasks, policies_of, task_names, task_notes
 
 if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath, Paths
@@ -38,21 +40,10 @@ if TYPE_CHECKING:
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
 
-ROBOT_POLICIES = TaskNotes(
-    {
-        "social_nav": "rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, "
-        "end_to_end_paper, random, stand_still or weights:FILE.",
-        "rearrange": "complement, greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot, "
-        "plan_pop_3_pixels and learn_pop.",
-    }
-)
-PARTNERS = TaskNotes(
-    {
-        "rearrange": "plan_pop_1 to plan_pop_4, both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 "
-        "and learn_pop_partner_0 to _2."
-    }
-)
-SKILLS = TaskNotes({"rearrange": "default none; also oracle, as of h3data generate.", "skill": "default learned."})
+EVALUATED = NameOf(lambda: (*task_names(), SKILL))
+WITH_PARTNERS = of_tasks(lambda task: task.usage.crosses_partners)
+WITH_SKILLS_OR_ONE = of_tasks(lambda task: task.control.has_skills, SKILL)
+SKILLS = task_notes(lambda task: "default none; also oracle, as of h3data generate.", skill="default learned.")
 
 
 @suggest_keywords
@@ -123,17 +114,17 @@ class Evaluate:
         h3data report out/zsc
     """
 
-    task: tyro.conf.Positional[str]
+    task: Annotated[tyro.conf.Positional[str], EVALUATED]
     """social_nav: find a walking person and follow them. rearrange: help them to bring two objects to their goals. skill: nav,
     pick and place, one by one."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
-    policies: Annotated[tuple[str, ...], OfTasks(("social_nav", "rearrange")), ROBOT_POLICIES]
+    policies: Annotated[tuple[str, ...], PLAYED, policies_of("robot", default=False)]
     """Policies of the robot: names as for h3data generate, or all. A pattern in quotes such as "weights:out/s*/policy.npz"
     stands for all files that match: they are one row, the mean over training seeds and its standard deviation."""
-    partners: Annotated[tuple[str, ...], OfTasks(("social_nav", "rearrange")), PARTNERS]
+    partners: Annotated[tuple[str, ...], PLAYED, policies_of("human", default=False)]
     """Policies of the person, or all."""
-    unseen_partners: Annotated[tuple[str, ...], OfTasks(("rearrange",))]
+    unseen_partners: Annotated[tuple[str, ...], WITH_PARTNERS]
     """Partners that no robot was trained with, whose mean is shown as the zero-shot column (default: the paper's four
     planners, both, object_1, object_2 and still, if all play, and the ten of these and the learned ones, if they do)."""
     scenes: tuple[str, ...]
@@ -148,7 +139,7 @@ class Evaluate:
     """Number of different homes of a preset; the episodes use them in turn."""
     seed: int
     """Seed of everything random."""
-    robot: Annotated[str | None, OfTasks(("social_nav", "rearrange"))]
+    robot: Annotated[str | None, PLAYED]
     """Body of the robot, as for h3data generate (default: that of the episode, else quad_arm)."""
     human: str | None
     """Body of the person: a built-in one, with an outfit as in female_0:dress; any: each episode samples one of the twelve
@@ -160,20 +151,20 @@ class Evaluate:
     """Walking speed of the person [m/s] (default: that of --rules)."""
     max_steps: int | None
     """Length limit of an episode (default: 1500)."""
-    skills: Annotated[tuple[str, ...], OfTasks(("rearrange", "skill")), SKILLS]
+    skills: Annotated[tuple[str, ...], WITH_SKILLS_OR_ONE, SKILLS]
     """Learned skills of robots: learned (those that come with the package), a folder of training runs, or policy files of
     h3data train skill."""
     card: str | None
     """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
-    observe: Annotated[ObserveOption, OfTasks(("rearrange",))]
+    observe: Annotated[ObserveOption, WITH_SKILLS]
     overrides: OverridesOption
-    light: Annotated[LightMode | None, OfTasks(("social_nav", "rearrange"))]
+    light: Annotated[LightMode | None, PLAYED]
     """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
     the light that each was trained in). It does not matter to policies that see no colours."""
     workers: int
     """Number of worker processes."""
     executor: ExecutorOption
-    save_recordings: Annotated[bool, OfTasks(("social_nav", "rearrange"))]
+    save_recordings: Annotated[bool, PLAYED]
     """Save the recordings, as datasets in OUT/recordings, for h3data report, view and rerender."""
     resume: bool
     """Continue an evaluation that was started with the same options, and fail if there is none. Without this option, an
@@ -183,9 +174,11 @@ class Evaluate:
 
     def run(self) -> Outcome:
         """Plays all episodes and returns the table of metrics."""
-        is_skill = self.task == "skill"
+        from sim_kinematic.tasks.rearrange.task import Rearrange
+
+        is_skill = self.task == SKILL  # skills are judged in episodes of rearrangement
         request = EvaluationRequest(
-            task="rearrange" if is_skill else self.task,
+            task=Rearrange.name if is_skill else self.task,
             policies=("still",) if is_skill else self.policies,
             partners=("still",) if is_skill else self.partners,
             unseen_partners=self.unseen_partners,

@@ -19,6 +19,7 @@ from h3data.commands.command import (
     JsonFlag,
     LightOption,
     MissingFlag,
+    NameOf,
     Observe,
     ObserveOption,
     Outcome,
@@ -33,7 +34,7 @@ from h3data.commands.command import (
     read_overrides,
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
-from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
+from h3data.commands.options import command_line, command_of
 from h3data.commands.shards import Executor
 from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
@@ -62,6 +63,7 @@ from h3data_pipelines.jobs.episodes import (
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
+from h3data_pipelines.task_options import WITH_SKILLS, policies_of, task_names, task_notes
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -77,27 +79,8 @@ COMMIT_STEPS = 30_000
 which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
 """Steps that a frame of a video counts as."""
-ROBOT_POLICIES = TaskNotes(
-    {
-        "social_nav": "rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk), "
-        "learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still.",
-        "rearrange": "complement (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot, "
-        "plan_pop_3_pixels and learn_pop (h3data docs populations), or solo (there is no robot).",
-        "wander": "wander (default) or still.",
-    }
-)
-PARTNERS = TaskNotes(
-    {
-        "social_nav": "waypoints (default), wander or still.",
-        "rearrange": "both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of which each episode "
-        "samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE.",
-        "wander": "wander (default), waypoints or still.",
-    }
-)
-MAX_STEPS = TaskNotes(
-    {"social_nav": "1500.", "rearrange": "1500.", "wander": "300: they walk as long as that, whatever happens."}
-)
-SPAWN_DISTANCE = TaskNotes({"social_nav": "Sets and files decide it."})
+MAX_STEPS = task_notes(lambda task: f"{(task.usage.dataset_rules or task.Spec()).max_steps}.")
+SPAWN_DISTANCE = task_notes(lambda task: "Sets and files decide it." if task.usage.set_rules else "")
 
 
 @suggest_keywords
@@ -178,7 +161,7 @@ class Generate:
         h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
     """
 
-    task: tyro.conf.Positional[str]
+    task: Annotated[tyro.conf.Positional[str], NameOf(task_names)]
     """social_nav: find a walking person and follow them at 1-2 m. rearrange: help them to bring two objects to their goals.
     wander: any robots and people walk about from one random point to another. Or the name of an installed task, or
     module:Class (h3data docs extending)."""
@@ -200,9 +183,9 @@ class Generate:
     allow_missing: MissingFlag
     homes: int
     """Number of different homes of a preset; the episodes use them in turn."""
-    policies: Annotated[tuple[str, ...], ROBOT_POLICIES]
+    policies: Annotated[tuple[str, ...], policies_of("robot")]
     """Policy of the robot, or of each robot in turn: a name, weights:FILE (h3data docs learned-policies) or module:name."""
-    partners: Annotated[tuple[str, ...], PARTNERS]
+    partners: Annotated[tuple[str, ...], policies_of("human")]
     """Policy of the person, or of each person in turn."""
     agents: tuple[str, ...]
     """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
@@ -223,13 +206,13 @@ class Generate:
     """Length limit of an episode, at 30 steps per second (default: the episode's, else that of the task)."""
     spawn_distance: Annotated[float | None, SPAWN_DISTANCE]
     """Least distance between any two agents at the start [m] (default: 5, the paper's for evaluation)."""
-    skills: Annotated[tuple[str, ...], OfTasks(("rearrange",))]
+    skills: Annotated[tuple[str, ...], WITH_SKILLS]
     """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
     train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
     (default: skills that know the whole state)."""
     card: str | None
     """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
-    observe: Annotated[ObserveOption, OfTasks(("rearrange",))]
+    observe: Annotated[ObserveOption, WITH_SKILLS]
     overrides: OverridesOption
     sensors: tuple[str, ...]
     """Sensors of robots that are recorded with every step: lidar, lidar_3d or any other of h3data docs environments that is no
@@ -426,7 +409,7 @@ class Generate:
         choices = with_skills(choices, ",".join(self.skills))
         in_set = self.episodes_file is None and len(self.scenes) == 1
         in_set = in_set and find_scene_set(self.scenes[0].partition("#")[0]) is not None
-        if in_set and choices.found_task.name == "social_nav":
+        if in_set and choices.found_task.usage.set_rules:
             refuse_beside(f"--scenes {self.scenes[0]}", spawn_distance=self.spawn_distance is not None)
         return requested_jobs(self, choices, default_scenes=("small",))
 

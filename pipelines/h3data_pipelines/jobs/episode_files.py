@@ -193,7 +193,7 @@ def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
     of = task_of(entry)
     if of is not None:
         return f"Episode {entry.episode_id!r} is one of {of}, not of {task.name}: {path}"
-    if task.name == "rearrange":
+    if task.control.has_skills:
         return f"Episode {entry.episode_id!r} names no targets, so there is nothing to rearrange: {path}"
     return (
         f"Episode {entry.episode_id!r} says neither where robot and person start nor where they walk, as Habitat's own "

@@ -20,6 +20,7 @@ import numpy as np
 from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import H3DataError
 from h3data.kernels import compiled_count, compiled_files, shipped
+from h3data.plugins import own_entries
 from h3data.progress import QUIET, is_quiet
 from h3data.terminal import counted
 from h3data_pipelines.execution.processes import core_count
@@ -182,7 +183,7 @@ def _people() -> None:
     pose_planted(tables, planted_states(tables, np.array([[0.0, 0, 0, 0, 0, 0, 1]])))
 
 
-def _task(name: str, steps: int | None = None) -> Callable[[], None]:
+def _task(name: str) -> Callable[[], None]:
     def play() -> None:
         from h3data.metrics import measure_many
         from h3data.replay import Replay, camera_track
@@ -192,6 +193,8 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
         from sim_kinematic.tasks.runner import simulate
 
         task = find_task(name)
+        # agents that move about need no more kernels later; those with skills get to some of them after a minute
+        steps = None if task.control.has_skills else 60
         spec = with_options(task.usage.dataset_rules or task.Spec(), max_steps=steps)  # None: those of the task
         recording = simulate(task, task.episode(open_scene(named_scenes("small:15")[0].source), spec=spec))
         measure_many([recording])
@@ -203,11 +206,9 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
 
 
 WORK: dict[str, Callable[[], None]] = {
-    "rearrange": _task("rearrange"),  # the longest first: half of the time
+    **{name: _task(name) for name, of in own_entries("h3data.tasks").items() if of.startswith("sim_kinematic.")},
     "pictures": _pictures,
     "light": _light,
     "people": _people,
-    "social_nav": _task("social_nav", 60),
-    "wander": _task("wander", 60),
 }
 """Work that needs every kernel, by the name under which progress is reported; each part runs in a process of its own."""

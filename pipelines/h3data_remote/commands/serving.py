@@ -28,8 +28,8 @@ class Serve:
 
     policy: str
     """A robot's policy: a name as in generate, weights:FILE or module:name."""
-    task: str = "social_nav"
-    """Task that it plays: social_nav, wander, or an installed one whose robots drive."""
+    task: str | None = None
+    """Task that it plays: wander, or an installed one whose robots drive (default: social_nav)."""
     adapter: Path | None = None
     """Adapter file that says which observations clients send (h3data docs remote-policies)."""
     host: Annotated[

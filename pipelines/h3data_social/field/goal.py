@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from h3data.metrics.any_task import SUCCESS
 from h3data.metrics.paper.encounter import PAPER, found_series
+from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
 from h3data.recording.records import Recording
 from h3data_social.others import find_others
 
 GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5
 """A point is reached from this distance or less, where the recording has no column `metrics.success`."""
-PERSON_IS_GOAL = "social_nav"
+PERSON_IS_GOAL = SOCIAL_NAV_PROFILE.tasks[0]
 """Task whose goal is the person."""
 
 

@@ -6,15 +6,17 @@ with populations of partners, on CPU cores or in batched worlds on a device.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
+from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, NameOf, Outcome
 from h3data.commands.options import OfTasks, TaskNotes
 from h3data.errors import InputError
+from h3data.plugins import Registry
 from h3data.progress import say
 from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
@@ -26,36 +28,32 @@ if TYPE_CHECKING:
     from sim_kinematic.policies.visual_policy import VisualPolicy
 
 
-REARRANGE, SOCIAL_NAV = OfTasks(("rearrange",)), OfTasks(("social_nav",))
-WITH_PEOPLE, BY_PPO = OfTasks(("social_nav", "rearrange")), OfTasks(("social_nav", "skill"))
-RECIPES = TaskNotes(
-    {
-        "social_nav": "fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one (pictures "
-        "of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where the "
-        "person is and how far off walls are; the default).",
-        "skill": "fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map but for critic and teacher), tiny for a CPU "
-        "(512 worlds, no pictures: the robot is told the path; the default).",
-        "rearrange": "paper has the published settings but for pictures (100 M steps; h3data docs populations); the default "
-        "is our own.",
-    }
-)
-OBSERVATIONS = TaskNotes(
-    {
-        "social_nav": "arm_depth,humanoid_detector,humanoid_gps are the paper's and the default, of tiny "
-        "humanoid_gps,range_scan; there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, "
-        "way and range_scan.",
-        "skill": "arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, "
-        "resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else "
-        "all but arm_depth).",
-    }
-)
-WORLDS = TaskNotes(
-    {
-        "rearrange": "episodes of an update, with oracle skills and the paper's people, on --device (default: none; episodes "
-        "have our full rules and are played by --workers)."
-    }
-)
-TASKS = "social_nav, rearrange or skill"
+@dataclass(frozen=True, kw_only=True)
+class Trainer:
+    """Training of policies for a task: an entry of the group ``h3data.trainers``, by the name of the task."""
+
+    run: Callable[[Train], Outcome]
+    """Trains by the options of the command."""
+    has_people: bool = True
+    """True if people are in its episodes."""
+    has_populations: bool = False
+    """True if it trains a robot beside a population of partners; False: one robot by PPO on what it perceives."""
+    recipes: str
+    """Help on ``--recipe``."""
+    observations: str = ""
+    """Help on ``--observations``."""
+    worlds: str = ""
+    """Help on ``--worlds``."""
+
+
+TRAINERS: Registry[Trainer] = Registry("h3data.trainers", {}, what="task to train")
+POPULATIONS = OfTasks(lambda task: TRAINERS.get(task).has_populations)
+BY_PPO = OfTasks(lambda task: not TRAINERS.get(task).has_populations)
+WITH_PEOPLE = OfTasks(lambda task: TRAINERS.get(task).has_people)
+FOLLOWING = OfTasks(lambda task: TRAINERS.get(task).has_people and not TRAINERS.get(task).has_populations)
+RECIPES = TaskNotes(lambda task: TRAINERS.get(task).recipes)
+OBSERVATIONS = TaskNotes(lambda task: TRAINERS.get(task).observations)
+WORLDS = TaskNotes(lambda task: TRAINERS.get(task).worlds)
 
 
 @dataclass(frozen=True)
@@ -86,17 +84,17 @@ class Train:
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
 
-    task: tyro.conf.Positional[str]
+    task: Annotated[tyro.conf.Positional[str], NameOf(TRAINERS.names)]
     """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills;
     skill: one of these skills. All with the paper's rewards."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
     skill: tyro.conf.Positional[str] = ""
     """skill: nav, pick or place."""
-    population: Annotated[str | None, REARRANGE] = None
+    population: Annotated[str | None, POPULATIONS] = None
     """Who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
     plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
-    ablate: Annotated[tuple[Literal["humanoid_gps", "primitives"], ...], REARRANGE] = ()
+    ablate: Annotated[tuple[str, ...], POPULATIONS] = ()
     """Ablations of the robot. humanoid_gps: it is not shown where the person is; primitives: it
     cannot choose the four primitives of navigation."""
     recipe: Annotated[Literal["fast", "paper", "tiny"] | None, RECIPES] = None
@@ -110,10 +108,10 @@ class Train:
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
     """Save and stop after so many minutes of this call; --resume goes on."""
-    workers: Annotated[int | None, REARRANGE] = None
+    workers: Annotated[int | None, POPULATIONS] = None
     """Processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
     not depend on it."""
-    episodes_file: Annotated[Path | None, REARRANGE] = None
+    episodes_file: Annotated[Path | None, POPULATIONS] = None
     """Episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
@@ -122,13 +120,13 @@ class Train:
     """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
     """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
-    episodes_per_update: Annotated[int | None, REARRANGE] = None
+    episodes_per_update: Annotated[int | None, POPULATIONS] = None
     """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
-    pixels: Annotated[bool, REARRANGE] = False
+    pixels: Annotated[bool, POPULATIONS] = False
     """The robot sees depth by its arm's camera and is told what the paper's is, and no state (h3data docs populations)."""
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
     """Observations of the robot."""
-    light: Annotated[LightMode | None, SOCIAL_NAV] = None
+    light: Annotated[LightMode | None, FOLLOWING] = None
     """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
     The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
     worlds: Annotated[int | None, WORLDS] = None
@@ -149,7 +147,7 @@ class Train:
     """Decisions per world between two updates: as far as the recurrent state learns to remember (default: 32, tiny 16)."""
     minibatches: Annotated[int | None, BY_PPO] = None
     """Parts of a rollout that are learned from one after the other (default: 4)."""
-    follow_steps: Annotated[int | None, SOCIAL_NAV] = None
+    follow_steps: Annotated[int | None, FOLLOWING] = None
     """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
     horizon: Annotated[float | None, BY_PPO] = None
     """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
@@ -177,13 +175,15 @@ class Train:
             raise InputError(
                 "Expected the name of a skill: h3data train skill nav, pick or place.", code="H3-TRAIN-012"
             )
-        if self.task == "rearrange":
-            return self._rearrange()
-        if self.task not in ("social_nav", "skill"):
+        if self.task not in (known := TRAINERS.names()):
             raise InputError(
-                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet.",
+                f"Expected the task {', '.join(known[:-1])} or {known[-1]}, got {self.task!r}: policies of other tasks cannot "
+                "be trained yet.",
                 code="H3-TRAIN-013",
             )
+        return TRAINERS.get(self.task).run(self)
+
+    def _train_by_ppo(self) -> Outcome:
         from h3data_training.ranks import torchrun_place
         from h3data_training.run import describe, require_light, train
 
@@ -250,7 +250,7 @@ class Train:
         of_recipe = None if self.minutes is None else 0
         return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
 
-    def _rearrange(self) -> Outcome:
+    def _train_in_populations(self) -> Outcome:
         if self.worlds is not None and self.worlds < 1:
             raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.", code="H3-TRAIN-017")
         if self.episodes_per_update is not None and self.episodes_per_update < 1:
@@ -344,5 +344,33 @@ def _summary(result: RunResult, task: str) -> str:
     elif task.startswith("skill_"):
         lines.append(f"Hint: h3data evaluate skill --skills {result.folder / 'policy.npz'} -o table/")
     else:
-        lines.append(f"Hint: h3data evaluate social_nav --policies weights:{result.folder / 'policy.npz'} -o table/")
+        lines.append(f"Hint: h3data evaluate {task} --policies weights:{result.folder / 'policy.npz'} -o table/")
     return "\n".join(lines)
+
+
+NAVIGATION = Trainer(
+    run=Train._train_by_ppo,
+    recipes="fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one (pictures "
+    "of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where the "
+    "person is and how far off walls are; the default).",
+    observations="arm_depth,humanoid_detector,humanoid_gps are the paper's and the default, of tiny "
+    "humanoid_gps,range_scan; there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, "
+    "way and range_scan.",
+)
+SKILLS = Trainer(
+    run=Train._train_by_ppo,
+    has_people=False,
+    recipes="fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map but for critic and teacher), tiny for a CPU "
+    "(512 worlds, no pictures: the robot is told the path; the default).",
+    observations="arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, "
+    "resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else "
+    "all but arm_depth).",
+)
+HELPING = Trainer(
+    run=Train._train_in_populations,
+    has_populations=True,
+    recipes="paper has the published settings but for pictures (100 M steps; h3data docs populations); the default "
+    "is our own.",
+    worlds="episodes of an update, with oracle skills and the paper's people, on --device (default: none; episodes "
+    "have our full rules and are played by --workers).",
+)

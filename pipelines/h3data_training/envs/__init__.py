@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
 
@@ -26,11 +28,11 @@ def make_social_nav(
     Raises:
         InputError: others than the robot are asked to act, or an option is wrong.
     """
-    _require_robot("social_nav", agents)
+    _require_robot(SocialNav.name, agents)
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
     from h3data_training.envs.torch_env import enough_memory
 
-    with enough_memory(device, worlds, "social_nav"):
+    with enough_memory(device, worlds, SocialNav.name):
         return SocialNavTorchEnv(worlds, scenes, device=device, **options)
 
 
@@ -45,7 +47,7 @@ def make_rearrange(
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.torch_env import enough_memory
 
-    with enough_memory(device, worlds, "rearrange"):
+    with enough_memory(device, worlds, Rearrange.name):
         return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
 
 

@@ -17,6 +17,7 @@ from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
 from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import Scenes
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
                 f"of: {', '.join(PARTNERS)}.",
                 code="H3-ENV-004",
             )
-        self.name = "rearrange"
+        self.name = Rearrange.name
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
         self._partner = partner
@@ -223,7 +224,5 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         models = {"robot": self.bank.robot.name, "human": self.bank.human.name}
         acting = {kind: models[kind] for kind in self.agents}
         others = {kind: f"{model} ({self._partner})" for kind, model in models.items() if kind not in self.agents}
-        what = in_words(
-            "rearrange", self.bank.scenes, len(self.bank.scenes), acting, beside=others, worlds=self.num_envs
-        )
+        what = in_words(self.name, self.bank.scenes, len(self.bank.scenes), acting, beside=others, worlds=self.num_envs)
         return f"RearrangeTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

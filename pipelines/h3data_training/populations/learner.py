@@ -21,6 +21,7 @@ from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.choosers.chooser_network import KIND, SkillPolicyNetwork
 from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.task import Rearrange
 
 LEARNED_FROM = ("each", "rest", "pictures", "allowed", "chosen", "log_prob", "critic_obs", "advantage", "target")
 """Columns of a minibatch."""
@@ -88,7 +89,7 @@ class ChooserLearner:
         """The policy so far."""
         s = self.settings
         card = PolicyCard(
-            task="rearrange",
+            task=Rearrange.name,
             robot=s.robot,
             observations=s.observations_of(self.agent),
             picture_size=s.picture_size if self.net.sees else None,

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 from h3data.errors import InputError
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec, OracleSpec, SkillSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.social_nav import SocialNav
 
 Names = Mapping[type, tuple[str, ...]]
 
@@ -41,7 +43,7 @@ _SCRIPTED = ("maneuvers",)
 """Scripts drive no robot here."""
 _SAMPLED = ("spawn_distance_m", "agent_radius_m", "agent_height_m")
 HELD: Mapping[str, Held] = {
-    "social_nav": Held(
+    SocialNav.name: Held(
         SocialNavSpec(),
         {
             SocialNavSpec: (
@@ -60,7 +62,7 @@ HELD: Mapping[str, Held] = {
         # arms always swing here (h3data docs gpu); with strides, people are where the bank says after each step
         {SocialNavSpec: _SAMPLED, BaseSpec: _SCRIPTED, WalkerSpec: ("clearance_m", "arms", "stride")},
     ),
-    "rearrange": Held(
+    Rearrange.name: Held(
         ORACLE_RULES,
         {
             RearrangeSpec: (
@@ -118,7 +120,7 @@ _WORLD = ("solid_agents", "floor_moves")
 
 def _held(rules: Any) -> Held:
     """Rules held for a user's task. Its own functions read its rules; those that move agents are as in social navigation."""
-    task, like = type(rules), HELD["social_nav"]
+    task, like = type(rules), HELD[SocialNav.name]
     ported = tuple(f.name for f in fields(rules) if f.name not in (*_SAMPLED, *_WORLD))
     usual = replace(
         rules, robot=like.like.robot, human=like.like.human, **{n: False for n in _WORLD if hasattr(rules, n)}

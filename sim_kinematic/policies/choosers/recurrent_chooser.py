@@ -42,13 +42,9 @@ class RecurrentSkillPolicy:
             robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
-            FormatError: The network is for another task, another number of objects or the other agent.
+            FormatError: The network is for another number of objects or the other agent.
         """
         card, agent = network.card, "robot" if robot else "human"
-        if card.task != "rearrange":
-            raise FormatError(
-                f"Expected weights for the task rearrange, these are for {card.task!r}.", code="H3-POLICY-008"
-            )
         if card.agent != agent:
             raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.", code="H3-POLICY-009")
         if card.objects != objects:

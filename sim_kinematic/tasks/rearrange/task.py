@@ -22,7 +22,8 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
-from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
+from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS, is_learned, naming, stamped
+from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     ROBOT_POLICIES,
@@ -73,7 +74,7 @@ class Rearrange(Task):
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "robot": {**ROBOT_POLICIES, **SHIPPED_IN["rearrange"]},
+        "robot": {**ROBOT_POLICIES, **SHIPPED_HELPERS},
         "human": dict.fromkeys((*PARTNERS, *SHIPPED_PARTNERS), partner_policy),
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "complement", "human": "both"}
@@ -149,21 +150,16 @@ class Rearrange(Task):
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Maker of the learned or planning policy of a name, with the agent's own seed; None for other names."""
-        from sim_kinematic.policies.learned import is_learned
-        from sim_kinematic.policies.learned_chooser import learned_chooser
-
         if is_learned(name):
             # only for its check: it raises if the network does not fit
             if spec is not None:
-                learned_chooser(name, spec.objects, robot=kind == "robot")
+                learned_chooser(name, Rearrange.name, spec.objects, robot=kind == "robot")
         elif name not in ROBOT_POLICIES and name not in PARTNERS:
             return None
         return partial(_made_policy, name)
 
 
 def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
-    from sim_kinematic.policies.learned import stamped
-
     assert isinstance(episode, RearrangeEpisode)
     kinds, objects = kinds_of(episode.roster), len(episode.targets)
     kind = kinds[number]
@@ -172,10 +168,13 @@ def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
     seed = episode.seed if not nth else episode_seed(episode.seed, nth)
     # a name that is in both tables means the one of the agent's own kind
     plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
-    if plans and not (kind == "robot" and name in ROBOT_POLICIES):
+    if is_learned(name):
+        policy = learned_chooser(name, Rearrange.name, objects, robot=kind == "robot")
+        plan = "" if kind == "robot" else stamped(name)
+    elif plans and not (kind == "robot" and name in ROBOT_POLICIES):
         policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
     else:
-        policy, plan = robot_policy(name, objects), ""
+        policy, plan = robot_policy(name), ""
     # who stands still looks for nothing
     if episode.spec.observe == "seen" and isinstance(policy, Planner | Chooser) and plan != "still" and name != "still":
         policy = Seeking(policy)

@@ -23,10 +23,10 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
-from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, naming, navigation_of, network_of, stamped
+from sim_kinematic.policies.learned import SHIPPED_NAVIGATORS, is_learned, naming, navigation_of, network_of, stamped
 from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
-from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, policy_by_name
+from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
@@ -89,7 +89,7 @@ class SocialNav(Task):
         "metrics.facing": np.float32,
     }
     control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS})
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_IN["social_nav"]}}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_NAVIGATORS}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
     usage: ClassVar[TaskUsage] = TaskUsage(
         env_rules=TRAINING,
@@ -129,11 +129,12 @@ class SocialNav(Task):
         if kind == "robot" and is_learned(name):
             network = network_of(name)
             if spec is not None:
-                policy_by_name(name)  # raises if the network was trained for another task
+                with naming(name):
+                    navigation_of(network, SocialNav.name)  # raises if the network was trained for another task
 
             def learned(episode: Episode, number: int) -> AssignedPolicy:
                 with naming(name):
-                    player = navigation_of(network, robot=episode.roster[number].model)
+                    player = navigation_of(network, SocialNav.name, robot=episode.roster[number].model)
                 return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
 
             return learned

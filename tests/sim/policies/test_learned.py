@@ -23,15 +23,16 @@ from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.learned import LearnedNavigation, navigation_input, network_of, stamped
-from sim_kinematic.policies.learned_chooser import chooser_input
+from sim_kinematic.policies.learned_chooser import chooser_input, learned_chooser
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.rearrange import Chooser, robot_policy
-from sim_kinematic.policies.social_nav import policy_by_name
+from sim_kinematic.policies.rearrange import Chooser
 from sim_kinematic.policies.views import RearrangeView, SocialNavView
 from sim_kinematic.sensing.table import FOLLOWER
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.resume import verify
 from tests.sim.steppers import social_nav_env
 from tests.simulated import rearrange_episode, simulate_rearrange, simulate_social_nav, social_nav_episode
@@ -273,7 +274,7 @@ def test_a_name_can_mean_these_very_weights(weights: Path) -> None:
 def test_networks_for_something_else_are_refused(tmp_path: Path, change: dict, message: str) -> None:
     np.savez(tmp_path / "x.npz", **other_arrays(**change))
     with pytest.raises(FormatError, match=message):
-        policy_by_name(f"weights:{tmp_path / 'x.npz'}")
+        resolve_policy(find_task("social_nav"), "robot", f"weights:{tmp_path / 'x.npz'}", SocialNavSpec())
 
 
 def test_inputs_of_another_length_are_told(tmp_path: Path) -> None:
@@ -350,7 +351,7 @@ def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: Rearra
         with pytest.raises(InputError, match=message):
             simulate_rearrange(task_world, policy=policy, partner=partner, solo_steps=1)
     with pytest.raises(FormatError, match="H3-POLICY-018"):
-        robot_policy(f"weights:{tmp_path / 'robot.npz'}", objects=4)
+        learned_chooser(f"weights:{tmp_path / 'robot.npz'}", "rearrange", 4, robot=True)
 
 
 @pytest.mark.slow

@@ -18,11 +18,13 @@ from sim_kinematic.agents.waypoint_walker import human_plan, sharp_corners
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import policy_by_name, rollout_expert
+from sim_kinematic.policies.social_nav import rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
+from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.social_nav.episode import sample_pair_starts as draw_starts
 from tests.examples import examples
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -282,8 +284,8 @@ def test_random_actions_are_the_same_for_the_same_seed(home: Scene, free: FreeSp
 
 
 def test_unknown_policies_are_listed() -> None:
-    with pytest.raises(InputError, match=r"(?s)rollout_expert.*H3-POLICY-038"):
-        policy_by_name("magic")
+    with pytest.raises(InputError, match=r"(?s)rollout_expert.*H3-POLICY-002"):
+        resolve_policy(SocialNav(), "robot", "magic", None)
 
 
 # --- the oracle ---------------------------------------------------------------------------------------------------------

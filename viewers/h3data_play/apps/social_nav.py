@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from h3data_play.app import App, Hud
+from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.task import Task
 
 
 class FollowMeApp(App):
     """App in which the person walks where they like and the robot follows at 1 to 2 m."""
 
-    task: ClassVar[str] = "social_nav"
+    task: ClassVar[str | type[Task]] = SocialNav
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}
 
     def hud(self, number: int) -> Hud:

@@ -64,7 +64,7 @@ class Play:
     app: tyro.conf.Positional[str]
     """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you.
     tutorial: walk, look, take and place, one step after the other. teleop: drive the robot, take and place with its arm.
-    language: carry out an instruction in words. Or module:Class, an app of your own (h3data docs play)."""
+    language: carry out an instruction in words. Or module:Class, an app or a task of your own (h3data docs play)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
     seats: Annotated[tuple[str, ...], tyro.conf.arg(name="as")] = ()

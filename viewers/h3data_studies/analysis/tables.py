@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from h3data.errors import InputError
 from h3data.metrics import Metric, Profile
+from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.report_layout import FailedEpisodes, StepsModel, StudyLayout
 from h3data_studies.analysis.estimates import (
     FittedMeans,
@@ -149,7 +150,7 @@ def _contrasts(model: FittedMeans, order: Sequence[str]) -> dict[str, list[Cell]
 
 def _key_of(table: str, task: str) -> str:
     """Key of a table of a study: ``hitl`` for rearrangement, the paper's task, ``hitl_<task>`` for others."""
-    return table if task == "rearrange" else f"{table}_{task}"
+    return table if task == REARRANGEMENT_PROFILE.tasks[0] else f"{table}_{task}"
 
 
 def _digits(metric: Metric) -> int:

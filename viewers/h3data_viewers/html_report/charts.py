@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics import Metric, metrics_of
+from h3data.metrics import Metric
+from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
 from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.data import Run
 from h3data_viewers.html_report.episode import GRID_S
@@ -65,7 +66,7 @@ def _highest(metric: Metric, values: Sequence[float]) -> float:
 def estimate_charts(runs: Sequence[Run]) -> list[Svg]:
     """Return one panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
     paper = [row for row in published_results().social_nav.rows if row.policies]
-    return [_estimates(metric, runs, paper) for metric in metrics_of("paper", "social_nav")]
+    return [_estimates(metric, runs, paper) for metric in SOCIAL_NAV_PROFILE.metrics]
 
 
 def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> Svg:

@@ -22,6 +22,7 @@ from h3data.errors import InputError, did_you_mean
 from h3data.metrics import MetricsTable, Profile, tabulate
 from h3data.metrics.batch import Part, Spread, parts_of
 from h3data.metrics.episode import for_each_partner, shared_by
+from h3data.metrics.paper.profiles import PROFILES, REARRANGEMENT_PROFILE
 from h3data.metrics.registry import profile_for
 from h3data.progress import progress
 from h3data.recording import Recording, open_recording
@@ -130,9 +131,9 @@ class ReportData:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks that there are episodes of: social navigation, rearrangement, then others as they come."""
-        there = dict.fromkeys(run.task for run in self.runs)
-        return tuple(sorted(there, key=lambda task: ["social_nav", "rearrange", task].index(task)))
+        """The tasks that there are episodes of: the paper's in its order, then others as they come."""
+        there, papers = dict.fromkeys(run.task for run in self.runs), [profile.tasks[0] for profile in PROFILES]
+        return tuple(sorted(there, key=lambda task: [*papers, task].index(task)))
 
     def of_task(self, task: str) -> tuple[Run, ...]:
         """The runs of one task."""
@@ -252,7 +253,7 @@ class _Gathered:
         """Without all of it, some of the partners of the zero-shot population are none, as in the table of the evaluation."""
         for (place, task, policy), episodes in self.grouped.items():
             parts = self.evaluated.get(place, {})
-            zsc = zero_shot_population(tuple(parts)) if task == "rearrange" else ()
+            zsc = zero_shot_population(tuple(parts)) if task == REARRANGEMENT_PROFILE.tasks[0] else ()
             self.grouped[place, task, policy] = [
                 replace(e, population="")
                 if e.population == "zsc" and e.partner in parts and e.partner not in zsc

@@ -14,6 +14,7 @@ import numpy as np
 
 from h3data.errors import FormatError
 from h3data.metrics import EpisodeMetrics, Profile
+from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.registry import profile_for
 from h3data_viewers.html_report.episode import ReportEpisode
 
@@ -63,7 +64,7 @@ def population_beside(partner: str, task: str) -> str:
     """``train``, ``zsc`` or empty, as `ReportEpisode.population`, for a partner that an evaluation played by name."""
     from sim_kinematic.policies.rearrange import population_of
 
-    return population_of(partner).removesuffix("-pop") if task == "rearrange" else ""
+    return population_of(partner).removesuffix("-pop") if task == REARRANGEMENT_PROFILE.tasks[0] else ""
 
 
 def zero_shot_population(partners: Sequence[str]) -> tuple[str, ...]:

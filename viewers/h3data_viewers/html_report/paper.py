@@ -16,8 +16,8 @@ import numpy as np
 from h3data.metrics import (
     Metric,
     compare_tables,
-    metrics_of,
 )
+from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE, SOCIAL_NAV_PROFILE
 from h3data.metrics.paper.published import published_results
 from h3data.metrics.report_layout import PublishedTable
 from h3data_viewers.html_report.data import Mean, ReportData, Run, same_episodes
@@ -44,7 +44,7 @@ ZSC = "ZSC mean"
 def social_nav_table(runs: Sequence[Run]) -> Table:
     """Means with intervals of each run, the paper's rows below."""
     paper = published_results().social_nav
-    metrics = metrics_of("paper", "social_nav")
+    metrics = SOCIAL_NAV_PROFILE.metrics
     published = [
         Row(name=row.name, cells=tuple(spread_cell(row.values.get(m.name, ())) for m in metrics)) for row in paper.rows
     ]
@@ -57,7 +57,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
         if s[m.name].count < len(run.episodes)
     ]
     return Table(
-        key="social_nav",
+        key=SOCIAL_NAV_PROFILE.tasks[0],
         title="Social navigation",
         caption="Social navigation. Mean over episodes with 95 % interval (Wilson for S and CR, else bootstrap)."
         + _of_seeds(runs),
@@ -108,7 +108,7 @@ def _deviations(runs: Sequence[Run]) -> list[str]:
 def rearrangement_table(runs: Sequence[Run]) -> Table:
     """SR, RE, CR, RC per policy with its training population and with unseen partners; the paper's rows below."""
     paper = published_results().rearrange
-    metrics = {m.name: m for m in metrics_of("paper", "rearrange")}
+    metrics = {m.name: m for m in REARRANGEMENT_PROFILE.metrics}
     shown = ("SR", "RE", "CR", "RC")
     there = {episode.population for run in runs for episode in run.episodes}
     populations = ["train", "zsc"] + ([""] if "" in there else [])
@@ -141,7 +141,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         for row in paper.rows
     ]
     return Table(
-        key="rearrange",
+        key=REARRANGEMENT_PROFILE.tasks[0],
         title="Social rearrangement",
         caption="Social rearrangement, with the training population and with unseen partners. SR and RE in %. "
         "Mean over episodes with 95 % interval." + _of_seeds(runs),

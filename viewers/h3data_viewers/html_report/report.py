@@ -18,6 +18,7 @@ from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.metrics.batch import Spread
+from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE, SOCIAL_NAV_PROFILE
 from h3data.metrics.report_layout import FailedEpisodes, StepsModel
 from h3data.plugins import Registry, own_version
 from h3data.progress import progress
@@ -218,11 +219,13 @@ def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, St
     if len(others) == len(data.tasks):
         return [*others, *of_studies]  # of a study of another task nobody expects the paper's tables
     tables = []
-    if runs := data.of_task("social_nav"):
+    if runs := data.of_task(SOCIAL_NAV_PROFILE.tasks[0]):
         tables.append(social_nav_table(runs))
     else:
         missing.append("Social navigation: there are no episodes of it.")
-    if runs := [run for run in data.of_task("rearrange") if not all(e.studied for e in run.episodes)]:
+    if runs := [
+        run for run in data.of_task(REARRANGEMENT_PROFILE.tasks[0]) if not all(e.studied for e in run.episodes)
+    ]:
         tables.append(rearrangement_table(runs))
     else:
         missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
@@ -262,7 +265,7 @@ def _task_sections(
     sections = []
     if table := next((t for t in tables if t.key == task), None):
         content: dict[str, Any] = {"table": table}
-        if task == "social_nav":
+        if task == SOCIAL_NAV_PROFILE.tasks[0]:
             content |= {"charts": estimate_charts(runs), "names": names, "heading": "Compared with the paper"}
         sections.append(ReportSection(task, table.title, "table", content))
     if study is not None:

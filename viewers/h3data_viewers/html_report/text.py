@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from h3data.metrics import Metric
 from h3data.metrics.episode import assumed_task
+from h3data.metrics.paper.profiles import PROFILES
 from h3data_viewers.html_report.data import ReportData
 from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number
 
-TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
-"""Names of the paper's tasks."""
+TASKS = {profile.tasks[0]: profile.report.title.lower() for profile in PROFILES}
+"""Names of the paper's tasks in words, in its order."""
 _LISTED, _MOST_LOGS = 5_000, 8
 """Largest numbers of episodes, and of imported logs, that are listed one by one."""
 

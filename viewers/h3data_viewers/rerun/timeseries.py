@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.metrics import find_agents
+from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
 from h3data.metrics.paper.social_nav import following_rows, l2_distance
 from h3data.recording.live_input import AWAY, live_inputs
 from h3data.recording.log_lines import LogLine, log_lines
@@ -52,7 +53,7 @@ def touched_rows(recording: Recording) -> NDArray[np.bool_]:
 
 def is_following(recording: Recording) -> bool:
     """Returns whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
-    return recording.episode.task == "social_nav"
+    return recording.episode.task == SOCIAL_NAV_PROFILE.tasks[0]
 
 
 # --- plots ------------------------------------------------------------------------------------------------------------

@@ -254,7 +254,7 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
             "leave out device.",
             code="H3-TRAIN-061",
         )
-    refuse_others("rearrange", first.spec)
+    refuse_others(Rearrange.name, first.spec)
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
         models = [[member.model for member in one.roster] for one in (episode, first)]

@@ -1,0 +1,73 @@
+"""Marks of options that depend on the task: which tasks have an option, and what it means in each, as the tasks say it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from h3data.commands.options import OfTasks, TaskNotes
+from h3data.errors import H3DataError
+from h3data.plugins import Registry
+
+if TYPE_CHECKING:
+    from sim_kinematic.tasks.task import Task
+
+SKILL = "skill"
+"""Name that commands take in the place of a task: a single skill of a robot."""
+
+
+def task_names() -> tuple[str, ...]:
+    """Return the names of all tasks that are installed."""
+    # not `task_registry`: the simulator is not imported for names
+    return Registry("h3data.tasks", {}, what="task").names()
+
+
+def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
+    """Mark an option of the tasks that pass a test; ``others`` are names in the place of a task that have it too."""
+
+    def has(name: str) -> bool:
+        task = _found(name)
+        return name in others if name == SKILL else task is None or bool(test(task))
+
+    return OfTasks(has)
+
+
+def task_notes(note: Callable[[Task], str], **others: str) -> TaskNotes:
+    """Mark an option with what it means in each task; ``others`` are sentences by a name in the place of a task."""
+
+    def said(name: str) -> str:
+        task = _found(name)
+        return others.get(name, "") if task is None else note(task)
+
+    return TaskNotes(said)
+
+
+def policies_of(kind: str, *, default: bool = True) -> TaskNotes:
+    """Mark an option with the policies that agents of a kind have in each task, the default one first."""
+
+    def listed(task: Task) -> str:
+        from sim_kinematic.policies.assignment import policy_names
+
+        first = task.defaults.get(kind, "")
+        others = [name for name in policy_names(task, kind) if name != first]
+        if default and kind == "robot" and task.usage.can_be_solo:
+            others.append("solo (there is no robot)")
+        return ", ".join([f"{first} (default)" if default else first, *others]) + "."
+
+    return task_notes(listed)
+
+
+WITH_SKILLS = of_tasks(lambda task: task.control.has_skills)
+"""Mark of options of tasks whose agents choose skills."""
+PLAYED = of_tasks(lambda task: True)
+"""Mark of options of all tasks, but not of a single skill."""
+
+
+def _found(name: str) -> Task | None:
+    """Return the task of a name; None: it is none, or its package is not there, of which others tell."""
+    from sim_kinematic.tasks.registry import find_task
+
+    with suppress(H3DataError):
+        return None if name == SKILL else find_task(name)
+    return None
