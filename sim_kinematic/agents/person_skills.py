@@ -138,8 +138,8 @@ class PersonActor:
 
     @property
     def xz(self) -> NDArray:
-        """Position on the floor [2] [m]."""
-        return self.person.spot.copy()
+        """Position on the floor [2] [m], a view."""
+        return self.person.spot
 
     @property
     def heading(self) -> float:
@@ -354,7 +354,7 @@ class PersonActor:
                 if path is None:  # something has opened there
                     return 0
                 continue
-            self.path = partial(_joined, self.xz, path[k:])
+            self.path = partial(_joined, self.xz.copy(), path[k:])
             if left:
                 self._stand()
                 yield
@@ -391,7 +391,7 @@ class PersonActor:
                 strider.begin(np.vstack([self.xz[None], path]), facing=facing)
                 waited, left = 0, False
                 continue
-            self.path = partial(_joined, self.xz, strider.ahead)
+            self.path = partial(_joined, self.xz.copy(), strider.ahead)
             if left:
                 # stepping aside has a speed of its own, so they set off from rest afterwards
                 strider.halt()
