@@ -25,13 +25,14 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
+from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
 from h3data.bodies.people.reach import (
     BaseMotion,
     Hand,
     ReachPoses,
     ReachResult,
-    hand_points,
+    grasp_point,
     reach,
     reach_poses,
     reacher,
@@ -86,6 +87,14 @@ CLOSES_FROM = 0.8
 """Share of the path to a thing from which on a hand closes."""
 HANDLE_CURL = 0.9
 """Bend of each joint of a finger around a handle [rad]."""
+ARM_PARTS = ("collar", "shoulder", "elbow", "wrist")
+ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
+    side: np.array(
+        [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", *(f"{side}_{part}" for part in ARM_PARTS))]
+    )
+    for side in ("left", "right")
+}
+"""Joints from above the pelvis to each wrist."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
 """The hand sets off after this many steps at most, or when the head has less than this left to turn."""
@@ -254,9 +263,10 @@ class Person:
 
     def palm(self, hand: Hand) -> Array:
         """Return the pose (pose7) of a palm in the world: its grasp point, with the axes of the wrist."""
-        joints = self.joint_matrices
-        turn = quat_from_matrix(joints[JOINT_INDEX[f"{hand}_wrist"], :3, :3])
-        return np.concatenate([hand_points(joints[None], self.body, hand)[0], turn])
+        frame = np.empty((1, 4, 4))
+        frame_of_joint(self.base, self.quats, self.pelvis, self._offsets, ARM_CHAINS[hand], frame[0])
+        place = frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3]
+        return np.concatenate([place[0], quat_from_matrix(frame[0, :3, :3])])
 
     def upright(self, held: Held) -> Array:
         """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
@@ -539,7 +549,7 @@ class Person:
         if was_quats is not None and was_pelvis is not None:
             fade = fade._replace(left=fade.left - 1 / FADE_STEPS)
             share = smoothstep(fade.left)
-            quats = quat_nlerp(quats, was_quats, np.full(len(quats), share))
+            quats = _blended(quats, was_quats, share)
             pelvis = pelvis + share * (was_pelvis - pelvis)
             # half a step, because a sum of twelfths does not end exactly at 0
             fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
@@ -640,9 +650,15 @@ class Person:
             poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
             self._carry_arms[hand] = poses.quats[0, joints]
         if self._carried.get(hand, (None,))[0] != close:  # it is the same one for most of a walk
-            arm = quat_nlerp(self._carry_arms[hand], CARRY_CLOSE[k], np.full(len(joints), close))
-            self._carried[hand] = close, arm
+            self._carried[hand] = close, _blended(self._carry_arms[hand], CARRY_CLOSE[k], close)
         return joints, self._carried[hand][1]
+
+
+def _blended(a: Array, b: Array, share: float) -> Array:
+    """Returns rotations [J, 4] blended by a share, 0 (a) to 1 (b)."""
+    out = np.empty(a.shape)
+    blend_pose(a, b, float(share), out)
+    return out
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,9 @@ class PersonActor:
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
+    is_robot: ClassVar[bool] = False
+    footprint: ClassVar[Footprint] = AVOIDANCE.person
+    """Space that other agents leave for a person."""
 
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
@@ -106,16 +109,6 @@ class PersonActor:
     def openables(self) -> ArticulatedParts | None:
         """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
-
-    @property
-    def is_robot(self) -> bool:
-        """Constant False."""
-        return False
-
-    @property
-    def footprint(self) -> Footprint:
-        """Space that other agents leave for a person."""
-        return AVOIDANCE.person
 
     @property
     def path(self) -> NDArray[np.floating]:
