@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
-from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint
+from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
 from h3data.bodies.people.reach import (
     BaseMotion,
@@ -47,7 +47,6 @@ from h3data.geometry import (
     quat_from_heading,
     quat_from_matrix,
     quat_multiply,
-    quat_nlerp,
     quat_rotate,
     smoothstep,
     wrap_angle,
@@ -251,10 +250,9 @@ class Person:
     def _assign(self, quats: Array, pelvis: Array, bare: Array) -> None:
         self.quats, self.pelvis, self.bare = quats, pelvis, bare
         for hand, held in self.held.items():
-            pose = pose_multiply(self.palm(hand), held.grip)
+            self.objects[held.name] = pose = np.empty(7)
             # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
-            pose[3:] = quat_nlerp(self.upright(held), pose[3:], self.tilts[hand])
-            self.objects[held.name] = pose
+            hold(*self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
 
     @property
     def joint_matrices(self) -> Array:
@@ -263,10 +261,14 @@ class Person:
 
     def palm(self, hand: Hand) -> Array:
         """Return the pose (pose7) of a palm in the world: its grasp point, with the axes of the wrist."""
+        frame, place = self._wrist(hand)
+        return np.concatenate([place, quat_from_matrix(frame[:3, :3])])
+
+    def _wrist(self, hand: Hand) -> tuple[Array, Array]:
+        """Return the frame of a wrist in the world [4, 4], and the place of its palm's grasp point [3]."""
         frame = np.empty((1, 4, 4))
         frame_of_joint(self.base, self.quats, self.pelvis, self._offsets, ARM_CHAINS[hand], frame[0])
-        place = frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3]
-        return np.concatenate([place[0], quat_from_matrix(frame[0, :3, :3])])
+        return frame[0], (frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3])[0]
 
     def upright(self, held: Held) -> Array:
         """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
