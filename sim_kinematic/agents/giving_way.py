@@ -207,10 +207,9 @@ class GivingWay:
         self._acted.clear()
         self._seen.clear()
         for actor in self.actors:
-            track = self.track(actor.number)
-            track[-1] = xz = actor.xz
-            self._at[actor.number] = xz.tolist()
-            (self._settled.add if _stays(track) else self._settled.discard)(actor.number)
+            number, track = actor.number, self.track(actor.number)
+            self._at[number] = track[-1] = actor.xz.tolist()
+            (self._settled.add if _stays(track, self._at[number]) else self._settled.discard)(number)
         self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
@@ -268,12 +267,12 @@ def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
     return True
 
 
-def _stays(track: Array) -> bool:
-    """Returns whether an agent with these places [T, 2] has been standing for long."""
+def _stays(track: Array, now: list[float]) -> bool:
+    """Returns whether an agent with these places [T, 2], the last of them ``now``, has been standing for long."""
     count = AVOIDANCE.still_steps
     if len(track) < count:
         return False
-    (x, z), (was_x, was_z) = track[-1].tolist(), track[-count].tolist()
+    (x, z), (was_x, was_z) = now, track[-count].tolist()
     if abs(x - was_x) >= AVOIDANCE.still_m or abs(z - was_z) >= AVOIDANCE.still_m:
         return False  # the ends of the interval tell, mostly: the rest of it costs ten times as much
     return float(np.ptp(track[-count:], axis=0).max()) < AVOIDANCE.still_m

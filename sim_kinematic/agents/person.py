@@ -25,13 +25,14 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
+from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
 from h3data.bodies.people.reach import (
     BaseMotion,
     Hand,
     ReachPoses,
     ReachResult,
-    hand_points,
+    grasp_point,
     reach,
     reach_poses,
     reacher,
@@ -46,7 +47,6 @@ from h3data.geometry import (
     quat_from_heading,
     quat_from_matrix,
     quat_multiply,
-    quat_nlerp,
     quat_rotate,
     smoothstep,
     wrap_angle,
@@ -77,6 +77,14 @@ REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
 which it changes in a step."""
 CLOSES_FROM = 0.8
 """Share of the path to a thing from which on a hand closes."""
+ARM_PARTS = ("collar", "shoulder", "elbow", "wrist")
+ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
+    side: np.array(
+        [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", *(f"{side}_{part}" for part in ARM_PARTS))]
+    )
+    for side in ("left", "right")
+}
+"""Joints from above the pelvis to each wrist."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
 """The hand sets off after this many steps at most, or when the head has less than this left to turn."""
@@ -233,10 +241,9 @@ class Person:
     def _assign(self, quats: Array, pelvis: Array, bare: Array) -> None:
         self.quats, self.pelvis, self.bare = quats, pelvis, bare
         for hand, held in self.held.items():
-            pose = pose_multiply(self.palm(hand), held.grip)
+            self.objects[held.name] = pose = np.empty(7)
             # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
-            pose[3:] = quat_nlerp(self.upright(held), pose[3:], self.tilts[hand])
-            self.objects[held.name] = pose
+            hold(*self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
 
     @property
     def joint_matrices(self) -> Array:
@@ -245,9 +252,14 @@ class Person:
 
     def palm(self, hand: Hand) -> Array:
         """Return the pose (pose7) of a palm in the world: its grasp point, with the axes of the wrist."""
-        joints = self.joint_matrices
-        turn = quat_from_matrix(joints[JOINT_INDEX[f"{hand}_wrist"], :3, :3])
-        return np.concatenate([hand_points(joints[None], self.body, hand)[0], turn])
+        frame, place = self._wrist(hand)
+        return np.concatenate([place, quat_from_matrix(frame[:3, :3])])
+
+    def _wrist(self, hand: Hand) -> tuple[Array, Array]:
+        """Return the frame of a wrist in the world [4, 4], and the place of its palm's grasp point [3]."""
+        frame = np.empty((1, 4, 4))
+        frame_of_joint(self.base, self.quats, self.pelvis, self._offsets, ARM_CHAINS[hand], frame[0])
+        return frame[0], (frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3])[0]
 
     def upright(self, held: Held) -> Array:
         """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
@@ -535,7 +547,7 @@ class Person:
         if was_quats is not None and was_pelvis is not None:
             fade = fade._replace(left=fade.left - 1 / FADE_STEPS)
             share = smoothstep(fade.left)
-            quats = quat_nlerp(quats, was_quats, np.full(len(quats), share))
+            quats = _blended(quats, was_quats, share)
             pelvis = pelvis + share * (was_pelvis - pelvis)
             # half a step, because a sum of twelfths does not end exactly at 0
             fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
@@ -637,9 +649,15 @@ class Person:
             poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
             self._carry_arms[hand] = poses.quats[0, joints]
         if self._carried.get(hand, (None,))[0] != close:  # it is the same one for most of a walk
-            arm = quat_nlerp(self._carry_arms[hand], CARRY_CLOSE[k], np.full(len(joints), close))
-            self._carried[hand] = close, arm
+            self._carried[hand] = close, _blended(self._carry_arms[hand], CARRY_CLOSE[k], close)
         return joints, self._carried[hand][1]
+
+
+def _blended(a: Array, b: Array, share: float) -> Array:
+    """Returns rotations [J, 4] blended by a share, 0 (a) to 1 (b)."""
+    out = np.empty(a.shape)
+    blend_pose(a, b, float(share), out)
+    return out
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:

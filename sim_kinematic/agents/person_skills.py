@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,9 @@ class PersonActor:
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
+    is_robot: ClassVar[bool] = False
+    footprint: ClassVar[Footprint] = AVOIDANCE.person
+    """Space that other agents leave for a person."""
 
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
@@ -104,16 +107,6 @@ class PersonActor:
         return self.objects.openables
 
     @property
-    def is_robot(self) -> bool:
-        """Constant False."""
-        return False
-
-    @property
-    def footprint(self) -> Footprint:
-        """Space that other agents leave for a person."""
-        return AVOIDANCE.person
-
-    @property
     def path(self) -> NDArray[np.floating]:
         """Points [N, 2] of the path that the person walks, their own place first, computed when it is read."""
         if isinstance(self._announced, partial):
@@ -134,8 +127,8 @@ class PersonActor:
 
     @property
     def xz(self) -> NDArray:
-        """Position on the floor [2] [m]."""
-        return self.person.spot.copy()
+        """Position on the floor [2] [m], a view."""
+        return self.person.spot
 
     @property
     def heading(self) -> float:
@@ -353,7 +346,7 @@ class PersonActor:
                 if path is None:  # something has opened there
                     return 0
                 continue
-            self.path = partial(_joined, self.xz, path[k:])
+            self.path = partial(_joined, self.xz.copy(), path[k:])
             if left:
                 self._stand()
                 yield
@@ -390,7 +383,7 @@ class PersonActor:
                 strider.begin(np.vstack([self.xz[None], path]), facing=facing)
                 waited, left = 0, False
                 continue
-            self.path = partial(_joined, self.xz, strider.ahead)
+            self.path = partial(_joined, self.xz.copy(), strider.ahead)
             if left:
                 # stepping aside has a speed of its own, so they set off from rest afterwards
                 strider.halt()

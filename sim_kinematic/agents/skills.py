@@ -228,15 +228,11 @@ class Objects:
             return self.goals[k]
         return self.poses[k, :3] if self.sight is None else self.sight.where[agent, k]
 
-    @property
-    def poses(self) -> NDArray[np.float64]:
+    def __post_init__(self) -> None:
+        self.poses: NDArray[np.float64] = self.state.object_pose[0]
         """Pose (pose7) of each object in the world [K, 7]; a view."""
-        return self.state.object_pose[0]
-
-    @property
-    def held_by(self) -> NDArray[np.int64]:
+        self.held_by: NDArray[np.int64] = self.state.held_by[0]
         """Agent that holds each, [K]; a view."""
-        return self.state.held_by[0]
 
     def held(self, agent: int) -> int:
         """Index of what an agent holds, -1 = nothing."""

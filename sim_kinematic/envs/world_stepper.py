@@ -407,7 +407,8 @@ class WorldStepper:
         number = self.numbers[agent]
         own, sensors = self._sets[number], self.task.sensors(self._kind(number))
         self._require_begun()
-        exact = joined([play.team.exact(number, own.states, sensors) for play in self.plays])
+        first, *beside = (play.team for play in self.plays)
+        exact = first.exact(number, own.states, sensors, beside=beside)
         if own.pictures.names:
             exact |= self._pictures(own)
         steps = [step for play in self.plays for step in play.steps.tolist()]
@@ -435,8 +436,11 @@ class WorldStepper:
             facts["success"] = turns.is_over and play.ended == "success"
             if len(self.agents) > 1:
                 facts["choosing"] = agent in self.choosing(w)
-            told.append({n: np.array([v], object if isinstance(v, str) else None) for n, v in facts.items()})
-        return joined(told)
+            told.append(facts)
+        return {
+            name: np.array([facts[name] for facts in told], object if isinstance(value, str) else None)
+            for name, value in told[0].items()
+        }
 
     def episode_info(self) -> Info:
         """Scene and seed of the episode in each world, [W] each."""
@@ -546,8 +550,3 @@ class WorldStepper:
                 light=light,
             )
         return self._renderers[key]
-
-
-def joined(parts: Sequence[Arrays]) -> Arrays:
-    """Return the arrays of several rollouts by name, one rollout after the other."""
-    return parts[0] if len(parts) == 1 else {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -98,7 +98,7 @@ class External:
         )
 
     interrupts_only_when_close = True
-    """`interrupts` returns nothing unless ``view.close``, so that it need not be asked otherwise."""
+    """`interrupts` returns nothing unless ``view.close``, so that it is only asked then, with a `CloseView`."""
 
     def interrupts(self, view: Any) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""

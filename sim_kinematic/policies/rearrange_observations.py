@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import Array
 from sim_kinematic.agents.skills import choices
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.views import RearrangeView
@@ -36,109 +37,117 @@ Floats = NDArray[np.floating]
 
 
 class RearrangeContext:
-    """View of rearrangement as a `sim_kinematic.sensing.table.Context` of one world."""
+    """Views of one agent in W worlds of rearrangement as a `sim_kinematic.sensing.table.Context`."""
 
     xp = np
 
-    def __init__(self, view: RearrangeView) -> None:
-        self._view = view
-        self.agent, self.arm, self.held_by, self.at_goal = view.agent, view.arm, view.held_by, view.at_goal
-        self.objects, self.starts, self.goals = view.objects, view.starts, view.goals
-        self.contact, self.touching, self.close = view.contact, view.collision, np.asarray(view.close)
-        self.steps = np.asarray(view.step)
-        self.now = Pose(view.xz, np.asarray(view.heading))
-        self.before, self.start = (Pose(pose[:2], pose[2]) for pose in (view.before, view.start))
+    def __init__(self, views: Sequence[RearrangeView]) -> None:
+        self._views, self.agent = views, views[0].agent
+        self.arm, self.held_by, self.at_goal = self._all("arm"), self._all("held_by"), self._all("at_goal")
+        self.objects, self.starts, self.goals = self._all("objects"), self._all("starts"), self._all("goals")
+        self.contact, self.touching, self.close = self._all("contact"), self._all("collision"), self._all("close")
+        self.steps, before, start = self._all("step"), self._all("before"), self._all("start")
+        self.now = Pose(self._all("xz"), self._all("heading"))
+        self.before, self.start = (Pose(pose[:, :2], pose[:, 2]) for pose in (before, start))
         # the newest place but one; at the start there is one place only, so the other has not moved
-        self.other, self.other_before = Pose(view.other_xz, None), Pose(view.other_track[-2:][0], None)
+        was = np.array([view.other_track[-2:][0] for view in views])
+        self.other, self.other_before = Pose(self._all("other_xz"), None), Pose(was, None)
+
+    def _all(self, field: str) -> NDArray:
+        """Return a field of all views, [W, ...]."""
+        return np.array([getattr(view, field) for view in self._views])
 
     @property
     def is_alone(self) -> bool:
         """Return whether there is no other agent."""
-        return not np.isfinite(self._view.other_xz).all()
+        return not np.isfinite(self._views[0].other_xz).all()
 
     @cached_property
     def _hand(self) -> Floats:
-        """Pose (pose7) of the hand in the world, computed at its first use, as few observations need it."""
-        return self._view.hand()
+        """Poses (pose7) of the hands in the world, computed at the first use, as few observations need them, [W, 7]."""
+        return np.array([view.hand() for view in self._views])
 
     def floor_y(self) -> Floats:
-        """Return the height of the floor where the agent is, [] [m]."""
-        return self._view.free.height_at(self.now.xz)
+        """Return the height of the floor where the agent is, [W] [m]."""
+        return np.array([view.free.height_at(view.xz) for view in self._views])
 
     def in_hand(self, points: Floats) -> Floats:
-        """Return world points [n, 3] in the frame of the hand."""
+        """Return world points [W, n, 3] in the frames of the hands."""
         return in_frame(self._hand, points)
 
     def from_start(self, points: Floats) -> Floats:
-        """Return world points [n, 3] in the agent root frame of the start."""
-        return in_frame(self._view.free.root_pose(self.start.xz, self.start.heading), points)
+        """Return world points [W, n, 3] in the agent root frames of the starts."""
+        return in_frame(np.array([v.free.root_pose(v.start[:2], v.start[2]) for v in self._views]), points)
 
     def other_root(self) -> Floats:
-        """Return the root of the other agent in the world [3] [m]."""
-        return self._view.free.root_pose(self.other.xz, 0.0)[:3]
+        """Return the roots of the other agents in the world [W, 3] [m]."""
+        return np.array([view.free.root_pose(view.other_xz, 0.0)[:3] for view in self._views])
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Floats:
-        """Return lengths of the shortest paths from the agent or the other to objects or goals, [K] [m].
+        """Return lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
         With ``then`` from the first position of the other's known track. Objects and goals lie on furniture, so the ends of the
         paths are moved to the free floor.
         """
-        view, points = self._view, self.objects if end == "objects" else self.goals
-        start = view.other_track[0] if then else view.other_xz if other else view.xz
-        ends = np.broadcast_to(start, (len(points), 2)), points[:, [0, 2]]
+        found = []
+        for view in self._views:
+            points = view.objects if end == "objects" else view.goals
+            start = view.other_track[0] if then else view.other_xz if other else view.xz
+            ends = np.broadcast_to(start, (len(points), 2)), points[:, [0, 2]]
+            found.append(view.free.geodesic(*ends, max_snap_m=SNAP_M))
         # no path is infinite, and a network takes finite numbers
-        return np.minimum(view.free.geodesic(*ends, max_snap_m=SNAP_M), FAR_M)
+        return np.minimum(np.array(found), FAR_M)
 
     def ahead(self, *, other: bool) -> Floats:
-        """Return points that an agent would reach after `AHEAD_M` on its path to each object, [K, n, 2] [m].
+        """Return points that an agent would reach after `AHEAD_M` on its path to each object, [W, K, n, 2] [m].
 
         For an object in its hand, the path leads to the object's goal. Paths to objects in another agent's hand are straight
         lines.
         """
-        view, hands = self._view, self.held_by
-        xz = view.other_xz if other else view.xz
-        own = (hands != NOBODY) & (hands != view.agent) if other else hands == view.agent
         found = []
-        for k in range(len(hands)):
-            end = (view.goals if own[k] else view.objects)[k, 0:3:2]
-            if own[k] or hands[k] == NOBODY:
-                found.append(path_points(view.free, xz, end, AHEAD_M, max_snap_m=SNAP_M))
-            else:
-                gap = end - xz
-                found.append(xz + gap * np.minimum(np.array(AHEAD_M) / max(np.hypot(*gap), 1e-9), 1.0)[:, None])
-        return np.array(found)
+        for view in self._views:
+            xz, hands = view.other_xz if other else view.xz, view.held_by
+            own = (hands != NOBODY) & (hands != view.agent) if other else hands == view.agent
+            for k in range(len(hands)):
+                end = (view.goals if own[k] else view.objects)[k, 0:3:2]
+                if own[k] or hands[k] == NOBODY:
+                    found.append(path_points(view.free, xz, end, AHEAD_M, max_snap_m=SNAP_M))
+                else:
+                    gap = end - xz
+                    found.append(xz + gap * np.minimum(np.array(AHEAD_M) / max(np.hypot(*gap), 1e-9), 1.0)[:, None])
+        return np.array(found).reshape((*self.held_by.shape, len(AHEAD_M), 2))
 
     def ended(self, outcome: Ending) -> Floats:
-        """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [C]."""
-        view = self._view
+        """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [W, C]."""
         # only robots have joints of an arm to observe
-        known = choices(len(view.objects), robot=len(view.arm) > 0)
-        found = np.zeros(len(known))
-        if view.last is not None and view.last.outcome == outcome and view.action in known:
-            found[known.index(view.action)] = 1.0
+        known = choices(self.objects.shape[1], robot=self.arm.shape[1] > 0)
+        found = np.zeros((len(self._views), len(known)))
+        for own, view in zip(found, self._views, strict=True):
+            if view.last is not None and view.last.outcome == outcome and view.action in known:
+                own[known.index(view.action)] = 1.0
         return found
 
 
 def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
     """Return the named observations, each [n] float32 and within its `limits`."""
     shown = {}
-    for name, values in exact(view, names).items():
+    for name, (values,) in exact([view], names).items():
         low, high = (np.tile(side, len(values) // SENSES[name].width) for side in (SENSES[name].low, SENSES[name].high))
         shown[name] = values.clip(low, high).astype(np.float32)
     return shown
 
 
 def exact(
-    view: RearrangeView, names: Sequence[str], sensors: Mapping[str, Sensor] = SENSES
-) -> dict[str, NDArray[np.float64]]:
-    """Return the named observations as they are, each [n]; of the other agent zeros if there is none."""
-    moment, lone = RearrangeContext(view), None
+    views: Sequence[RearrangeView], names: Sequence[str], sensors: Mapping[str, Sensor] = SENSES
+) -> dict[str, Array]:
+    """Return the named observations in W worlds as they are, [W, n] each; of the other agent zeros if there is none."""
+    moment, lone = RearrangeContext(views), None
     found = {}
     for name in names:
         if sensors[name].of_other and moment.is_alone:
             # only their lengths are needed, of which the limits know
-            lone = lone or limits(sensors, objects=len(view.objects), arm=len(view.arm))
-            found[name] = np.zeros(lone[name].shape)
+            lone = lone or limits(sensors, objects=moment.objects.shape[1], arm=moment.arm.shape[1])
+            found[name] = np.zeros((len(views), *lone[name].shape))
         else:
             found[name] = np.asarray(sensors[name].of(moment), np.float64)
     return found

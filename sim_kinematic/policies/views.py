@@ -95,6 +95,14 @@ class SocialNavView(NamedTuple):
     """Function that returns the agent's observation of a name; None if observations are not computed."""
 
 
+class CloseView(NamedTuple):
+    """Observation of policies whose ``interrupts_only_when_close`` is true while they may interrupt a skill."""
+
+    action: Action
+    """Skill that is running."""
+    close: bool = True
+
+
 class RearrangeView(NamedTuple):
     """Observation of privileged policies of rearrangement: everything but the other agent's plan."""
 

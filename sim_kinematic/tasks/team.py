@@ -66,8 +66,10 @@ class Team(ABC):
         """Return the observation of an agent's policy, for any task."""
 
     @abstractmethod
-    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """Return the named observations as they are, [W, n] each."""
+    def exact(
+        self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
+    ) -> dict[str, Array]:
+        """Return the named observations as they are, [W, n] each; rows of the teams ``beside`` follow this team's."""
 
     @abstractmethod
     def scenery(self, world: int) -> dict[str, Any]:
@@ -160,8 +162,10 @@ class MotionTeam(Team):
         """Return the reactions to robots and activities that people of crowds have begun."""
         return self._crowds[0].new_events if 0 in self._crowds else ()
 
-    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """Return the named observations of an agent in all worlds."""
+    def exact(
+        self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
+    ) -> dict[str, Array]:
+        """Return the named observations of an agent in all worlds, which are this team's."""
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)

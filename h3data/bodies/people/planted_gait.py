@@ -137,9 +137,9 @@ class PlantedWalk:
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """``base`` [7] is the agent root."""
-        from h3data.bodies.people.kernels.planted import STATE_COLUMNS
+        from h3data.bodies.people.kernels.planted import STATE_COLUMNS, stride_one
 
-        self.tables = tables
+        self.tables, self._stride_one = tables, stride_one
         self.state: Array = np.zeros(STATE_COLUMNS)
         """A row of `planted_states` [K]; a copy of it keeps a moment."""
         self.stand(base)
@@ -187,11 +187,9 @@ class PlantedWalk:
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
-        from h3data.bodies.people.kernels.planted import stride_one
-
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        stride_one(self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        self._stride_one(self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:

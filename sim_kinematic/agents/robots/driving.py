@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,11 +73,17 @@ class RobotDriver:
     """Last command of the base, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
+    is_robot: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self._arm = np.array(self.robot.arm_columns, np.intp)
         self.state: RobotState = self.objects.state.robots[self.number]
         """Its own part of the state of one world."""
+        # attributes, because a step reads them thirty times, and each view takes as long as a sum
+        self.xz: NDArray[np.float64] = self.state.xz[0]
+        """Position on the floor [2] [m], a view."""
+        self.joints: NDArray[np.float64] = self.state.joints[0]
+        """Positions of the joints [J], a view."""
         # a copy: `obey` writes into it, and the resting posture is the robot's own
         self.arm_goal = self.robot.rest.copy()
         self.empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
@@ -98,11 +105,6 @@ class RobotDriver:
         """Position at the last progress in stepping aside, and the number of steps since."""
 
     @property
-    def is_robot(self) -> bool:
-        """Constant True."""
-        return True
-
-    @property
     def agreed(self) -> bool:
         """Returns whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
@@ -115,11 +117,6 @@ class RobotDriver:
     def openables(self) -> ArticulatedParts | None:
         """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
-
-    @property
-    def xz(self) -> NDArray:
-        """Position on the floor [2] [m]."""
-        return self.state.xz[0]
 
     @property
     def heading(self) -> float:
@@ -152,11 +149,6 @@ class RobotDriver:
 
         # not computed yet: in most steps nobody reads it, and each would cost a shortest path
         self._start, self._path = xz, path
-
-    @property
-    def joints(self) -> NDArray:
-        """Positions of the joints [J]."""
-        return self.state.joints[0]
 
     @property
     def arm(self) -> NDArray:

@@ -129,6 +129,7 @@ def _travel(robot: Robot, link: int) -> float:
     return float(np.abs(ends).max())
 
 
+@lru_cache(maxsize=256)
 def hand_turn(robot: Robot) -> Array:
     """Returns the rotation (quaternion) of the hand's link in the agent root frame for what lies in its reach direction."""
     c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)

@@ -362,7 +362,11 @@ class RobotActor(RobotDriver):
 
     def _fold_arm(self) -> Generator[None, None, None]:
         """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
-        while not self._is_instant and np.hypot(*self._hand_in_root(self.joints)[[0, 2]]) > self._folded_m + ARM_OUT_M:
+        farthest_m, rest = self._folded_m + ARM_OUT_M, self.robot.rest.tobytes()
+        # an arm at rest is folded; most drives begin so, and its frames cost more than the comparison
+        while not self._is_instant and self.joints.tobytes() != rest:
+            if np.hypot(*self._hand_in_root(self.joints)[[0, 2]]) <= farthest_m:
+                return
             self._step(0.0, 0.0)
             yield
 

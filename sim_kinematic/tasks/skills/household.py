@@ -51,7 +51,7 @@ from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.rearrange_observations import exact
 from sim_kinematic.policies.skills.names import skills_of
-from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.policies.views import CloseView, RearrangeView
 from sim_kinematic.sensing.sight import LOOK_STEPS, Places, Sight
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.rearrange.episode import body_indices
@@ -333,9 +333,10 @@ class Household(Team):
         rests = self.play.step % getattr(policy, "interrupts_every", 1)
         interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
         # most of the time nobody is close, and a view takes far longer than to find that out
-        if interrupts is None or (getattr(policy, "interrupts_only_when_close", False) and not self._is_close(number)):
+        needs_view = not getattr(policy, "interrupts_only_when_close", False)
+        if interrupts is None or not (needs_view or self._is_close(number)):
             return
-        if reason := interrupts(self.play.view(number)):
+        if reason := interrupts(self.play.view(number) if needs_view else CloseView(controller.action)):
             controller.interrupt(reason)
 
     def end_turn(self, number: int) -> None:
@@ -524,13 +525,15 @@ class Household(Team):
         _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
         return at_goal
 
-    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """Return the named observations of an agent in the only world."""
-        shown = exact(self.view(agent), names, sensors)
+    def exact(
+        self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
+    ) -> dict[str, Array]:
+        """Return the named observations of an agent in the only world, then in the worlds of the teams ``beside``."""
+        shown = exact([team.view(agent, 0) for team in (self, *beside)], names, sensors)
         if self.objects.sight is not None:
             # positions of things that the agent has not seen are NaN, which no network takes
             shown = {name: np.nan_to_num(values) for name, values in shown.items()}
-        return {name: values[None] for name, values in shown.items()}
+        return shown
 
     def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
         """Return facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""

@@ -22,7 +22,7 @@ from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.rearrange import planner, robot_policy
-from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
+from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES, exact
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from tests.examples import examples
@@ -71,6 +71,17 @@ def test_pettingzoo_finds_the_same_seeds() -> None:
 
 
 # --- the same episodes everywhere ---------------------------------------------------------------------------------------
+def test_worlds_observe_together_what_each_observes_alone() -> None:
+    env = h3data.make("rearrange", HOME, num_envs=3, partner="both", observations=tuple(SENSES))
+    env.reset(seed=0)
+    for action in (NAV_0, FORWARD, NAV_1):
+        env.step(np.full(3, action))
+        views = [play.view(0) for play in env.unwrapped.stepper.plays]
+        for name, values in exact(views, tuple(SENSES)).items():
+            for view, value in zip(views, values, strict=True):
+                np.testing.assert_array_equal(value, exact([view], [name])[name][0], err_msg=name)
+
+
 def test_it_is_the_episode_that_the_simulator_plays() -> None:
     session = SkillSession(HOME, partner="both", interrupts_when_close=False)
     session.begin(4, 0)

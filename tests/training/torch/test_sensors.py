@@ -172,8 +172,8 @@ def _rearrange() -> Pairs:
             mine, mask = shown[kind]
             known = pair.known[kind]
             np.testing.assert_array_equal(mask[n], [not play.team.objects.why_not(agent, action) for action in known])
-            for name, values in exact(play.view(agent), names).items():
-                found[name].append((values[None], mine[name][n : n + 1].numpy()))
+            for name, values in exact([play.view(agent)], names).items():
+                found[name].append((values, mine[name][n : n + 1].numpy()))
 
     for step in range(135):
         pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
