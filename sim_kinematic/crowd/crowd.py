@@ -329,7 +329,7 @@ class Crowd:
 
     def _taken_from(self, m: int) -> list[Array]:
         """Return places [2 or 3] where others sit or stay, or go to do so; those of seats from all crowds of the world."""
-        seats = [place.stand for who, place in self._taken.items() if who != (id(self), m)]
+        seats = [place.taken for who, place in self._taken.items() if who != (id(self), m)]
         return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
