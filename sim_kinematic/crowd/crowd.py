@@ -32,10 +32,11 @@ CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
 WAY_M = 1.5
 """Length of the path before people who are stuck on which those who stay in their way make room [m]."""
-VERSION = 2
+VERSION = 3
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
-somebody cannot get past."""
+somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
+slowly (`CrowdSpec.of_version`)."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""
@@ -117,7 +118,7 @@ class Crowd:
         self._free, self._seed, self._version = free, seed, version
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
-        self._forces, self._rules = model == "social_force", (spec or CrowdSpec(company_in_sight=version > 1)).numbers
+        self._forces, self._rules = model == "social_force", (spec or CrowdSpec.of_version(version)).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
         self._counts = np.zeros(people, np.int64)
