@@ -112,14 +112,14 @@ def test_the_motion_has_no_jump_and_ends_before_the_seat(name: str):
 def test_who_cannot_lie_is_told_why_and_sits():
     seats = Seats(ROOM, FREE, load_humanoid("female_0"))
     place = seats.place(seats.at(SHORT)[0])
-    with pytest.raises(InputError, match="H3-SIM-059"):
+    with pytest.raises(InputError, match="H3-SIM-069"):
         seats.to_lie(place)
     lies = seats.to_lie(seats.place(seats.at(BED)[0]))
     assert lies.taken[3] == LIES_APART_M
     for seat in seats.at(BED):
         with pytest.raises(InputError, match="H3-SIM-064"):
             seats.place(seat, [lies.taken])
-    with pytest.raises(InputError, match="H3-SIM-059"):
+    with pytest.raises(InputError, match="H3-SIM-069"):
         seats.to_lie(lies, [seats.place(seats.at(BED)[-1]).taken])
     assert all(seat.ends == (0.0, 0.0) or abs(seat.ends[0] - seat.ends[1]) > 1 for seat in seats_of(ROOM))
 
