@@ -33,7 +33,7 @@ from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
-from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
+from sim_kinematic.contact.clearance import LYING_M, RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
@@ -419,6 +419,7 @@ class World:
             # before the place is overwritten, from which the distance walked is measured
             own.distance[:] += np.hypot(*(command.xz - own.xz).T)
             own.xz[:], own.heading[:], self._kept[agent] = command.xz, command.heading, command.posture
+            own.seat[:] = command.posture.seat
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
         """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
@@ -430,14 +431,18 @@ class World:
 
 
 @kernel(error_model="numpy")
-def _near_pairs(xz, rows, pairs, gates):
-    """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n]."""
+def _near_pairs(xz, shares, rows, pairs, gates):
+    """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
+
+    Gates are wider where one lies, as ``shares`` [W, A] of sitting above 1 say.
+    """
     near = np.zeros((len(rows), len(pairs)), np.bool_)
     for n in range(len(rows)):
         w = rows[n]
         for p in range(len(pairs)):
             a, b = pairs[p, 0], pairs[p, 1]
-            near[n, p] = math.hypot(xz[w, a, 0] - xz[w, b, 0], xz[w, a, 1] - xz[w, b, 1]) <= gates[p]
+            wider = LYING_M * max(shares[w, a] > 1.0, shares[w, b] > 1.0)
+            near[n, p] = math.hypot(xz[w, a, 0] - xz[w, b, 0], xz[w, a, 1] - xz[w, b, 1]) <= gates[p] + wider
     return near
 
 
@@ -474,7 +479,11 @@ class _PairContacts:
         if not self._pairs:
             return np.zeros((len(rows), 0), np.bool_)
         xz = np.stack([own.xz for own in world.state.agents], axis=1)
-        result = _near_pairs(xz, rows, self._numbers, self._gates)
+        shares = np.zeros(xz.shape[:2])
+        for k, own in enumerate(world.state.agents):
+            if isinstance(own, HumanState):
+                shares[:, k] = own.seat[:, 1]
+        result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
         for p in np.flatnonzero(result.any(0)).tolist():
             contact = self._of[p]
             if contact is None:

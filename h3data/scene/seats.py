@@ -47,6 +47,9 @@ class Seat(NamedTuple):
     """Distance from the front edge to a backrest, or to the far side."""
     height_m: float
     """Height above the floor on which the furniture stands."""
+    ends: tuple[float, float] = (0.0, 0.0)
+    """Ends of the surface, at the head and at the feet of somebody who lies there: distances to the left of a person who sits
+    there, negative to the right [m]."""
 
 
 def seats_of(scene: Scene) -> list[Seat]:
@@ -59,7 +62,7 @@ def seats_of(scene: Scene) -> list[Seat]:
     for instance in scene.instances:
         asset = scene.assets[instance.asset]
         places = list(_places(asset, instance.scale)) if asset.category in SEAT_SIDES else []
-        for k, (edge, turn, depth) in enumerate(places):
+        for k, (edge, turn, depth, ends) in enumerate(places):
             frame = pose_to_matrix(instance.pose)
             # a heading of 0 faces +x, a model faces +z
             heading = quat_multiply(instance.pose[3:], quat_from_heading(turn - np.pi / 2))
@@ -71,13 +74,14 @@ def seats_of(scene: Scene) -> list[Seat]:
                     heading=float(heading_from_quat(heading)),
                     depth_m=depth,
                     height_m=float(edge[1]),
+                    ends=ends,
                 )
             )
     return seats
 
 
-def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
-    """Front edges [3] in the asset's frame, turns of who sits there from the front [rad], and depths [m]."""
+def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, tuple[float, float]]]:
+    """Front edges [3] in the asset's frame, turns of who sits there from the front [rad], depths [m], and `Seat.ends`."""
     # upright boxes and cylinders only: a hull has no flat top that could be found by its bounds
     boxes = np.array([box for shape in asset.shapes if (box := _box(shape, scale)) is not None]).reshape(-1, 2, 3)
     size = boxes[:, 1] - boxes[:, 0]
@@ -94,8 +98,9 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
         # not at the ends of the bed, where its head and foot are
         count = max(int((z1 - z0) / bed_step_m) - 1, 1)
         for along in np.linspace(z0, z1, count + 2)[1:-1]:
-            yield np.array([x1, y, along]), np.pi / 2, x1 - x0
-            yield np.array([x0, y, along]), -np.pi / 2, x1 - x0
+            # the head of a bed is behind its front
+            yield np.array([x1, y, along]), np.pi / 2, x1 - x0, (along - z0, along - z1)
+            yield np.array([x0, y, along]), -np.pi / 2, x1 - x0, (z0 - along, z1 - along)
         return
     # backrests: what rises above the rear half of the seat
     above = (top > y + ABOVE_M) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
@@ -103,7 +108,7 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
     back = float(boxes[above, 1, 2].max(initial=z0))
     count = max(int((x1 - x0) / bed_step_m), 1)
     for across in x0 + (np.arange(count) + 0.5) * (x1 - x0) / count:
-        yield np.array([across, y, z1]), 0.0, z1 - back
+        yield np.array([across, y, z1]), 0.0, z1 - back, (x1 - across, x0 - across)
 
 
 def _box(shape: object, scale: Array) -> Array | None:

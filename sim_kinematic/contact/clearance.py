@@ -28,6 +28,8 @@ SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 """Length and radius of a capsule from a point downwards; what it overlaps supports the object that lies at the point [m]."""
 FLOOR_M = 0.02
 """Height up to which agents stand on what lies on the floor, such as a rug [m]."""
+LYING_M = 0.7
+"""Distance by which head or feet of somebody who lies are farther from the root than anything in a clip at most [m]."""
 HOMES_KEPT = 64
 """Largest number of homes whose furniture stays in FCL; scene sets have fewer."""
 
@@ -97,8 +99,9 @@ class RobotHumanContact:
         The people are posed together.
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
-        # the gate holds for every posture, so people farther away need not be posed
-        near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
+        # the gate holds for every posture but lying, so people farther away need not be posed
+        wider = 0.0 if seats is None else LYING_M * (seats[:, 1] > 1)
+        near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m + wider)
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
             return result

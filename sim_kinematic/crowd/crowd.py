@@ -30,10 +30,11 @@ STUCK_PATHS, AWAY_M = 4, 1.0
 """Number of goals that people who are stuck compare, and the distance along the path at which they look for others [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
-VERSION = 2
+VERSION = 3
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
-somebody cannot get past."""
+somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
+slowly (`CrowdSpec.of_version`)."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""
@@ -115,7 +116,7 @@ class Crowd:
         self._free, self._seed, self._version = free, seed, version
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
-        self._forces, self._rules = model == "social_force", (spec or CrowdSpec(company_in_sight=version > 1)).numbers
+        self._forces, self._rules = model == "social_force", (spec or CrowdSpec.of_version(version)).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
         self._counts = np.zeros(people, np.int64)
@@ -329,7 +330,7 @@ class Crowd:
 
     def _taken_from(self, m: int) -> list[Array]:
         """Return places [2 or 3] where others sit or stay, or go to do so; those of seats from all crowds of the world."""
-        seats = [place.stand for who, place in self._taken.items() if who != (id(self), m)]
+        seats = [place.taken for who, place in self._taken.items() if who != (id(self), m)]
         return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:

@@ -13,7 +13,7 @@ from sim_kinematic.motion.randomness import generator
 
 ANY = "any"
 """Word for a reaction that is sampled for each person by the seed of the episode."""
-ROUTINES = ("morning",)
+ROUTINES = ("morning", "evening")
 """Routines by name (`sim_kinematic.crowd.routines`)."""
 
 

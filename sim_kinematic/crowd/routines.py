@@ -54,10 +54,14 @@ ACTIVITIES: dict[str, Activity] = {
     "read": Activity(("sofa", "armchair", "rocking_chair"), 20.0, 60.0, "sit"),
     "work": Activity(("desk",), 40.0, 120.0, "sit"),
     "look_out": Activity(("window",), 5.0, 20.0),
+    "rest": Activity(("bed", "sofa"), 20.0, 60.0, "lie"),
 }
 """Activities by name."""
-MORNING = ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work")
-"""Order of a morning, of which each person leaves out some."""
+DAYS = {
+    "morning": ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work"),
+    "evening": ("fetch", "cook", "eat", "look_out", "read", "wash", "rest"),
+}
+"""Order of activities in each of `sim_kinematic.crowd.roles.ROUTINES`, of which each person leaves out some."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
 PERSON_M = 1.0
@@ -103,26 +107,26 @@ def place_beside(
     return at[best], faced[best]
 
 
-def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
-    """Return the routine of a morning for agent ``number`` in the episode with a seed, from the things of the home.
+def make_routine(scene: Scene, seed: int, number: int, name: str = "morning") -> tuple[Stop, ...]:
+    """Return the routine of a name (`DAYS`) for agent ``number`` in the episode with a seed, from the things of the home.
 
     Raises:
         SceneError: The home has nothing for any activity.
     """
-    rng = generator(seed, "morning", world=number)
+    rng = generator(seed, name, world=number)
     things: dict[str, list[str]] = {}
     for instance in scene.instances:
         things.setdefault(scene.assets[instance.asset].category, []).append(instance.name)
     stops = []
-    for name in MORNING:
-        activity = ACTIVITIES[name]
+    for doing in DAYS[name]:
+        activity = ACTIVITIES[doing]
         places = [place for category in activity.categories for place in things.get(category, ())]
         place, seconds = int(rng.integers(1 << 30)), float(rng.uniform(activity.least_s, activity.most_s))
         if places and rng.random() < KEPT:
-            stops.append(Stop(places[place % len(places)], name, round(seconds, 1)))
+            stops.append(Stop(places[place % len(places)], doing, round(seconds, 1)))
     if not stops:
         kinds = ", ".join(sorted({category for a in ACTIVITIES.values() for category in a.categories}))
-        raise SceneError(f"Nobody can spend a morning in {scene.name}: it has none of {kinds}.", code="H3-SIM-062")
+        raise SceneError(f"Nobody can spend the {name} in {scene.name}: it has none of {kinds}.", code="H3-SIM-062")
     return tuple(stops)
 
 
@@ -159,10 +163,17 @@ class Routine:
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]
             self._next += 1
-            if self._seats is not None and posture_of(stop.activity, ("stand", "sit")) == "sit":
-                for seat in self._seats.at(stop.place):
+            posture = posture_of(stop.activity, ("stand", "sit", "lie"))
+            if self._seats is not None and posture != "stand":
+                seats = self._seats.at(stop.place)
+                # who finds no place to lie sits
+                for seat, lies in [
+                    *((seat, True) for seat in seats if posture == "lie"),
+                    *((seat, False) for seat in seats),
+                ]:
                     try:
                         place = self._seats.place(seat, taken)
+                        place = self._seats.to_lie(place, taken) if lies else place
                     except InputError as fault:
                         refused = refused if refused[0] else (seat.name, f"{fault.code}: {fault}")
                         continue

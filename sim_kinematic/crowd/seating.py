@@ -14,19 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 from h3data.bodies import Humanoid
-from h3data.bodies.people.sitting import Sitting, sitting_on
+from h3data.bodies.people.sitting import TUCKED, TURNED, Sitting, sitting_on
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, smoothstep, wrap_angle
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import Capsule, instance_bounds
 from h3data.scene.seats import Seat, seats_of
-from sim_kinematic.contact import MovingShapes, collide
+from sim_kinematic.contact import MovingShapes, contacts
 from sim_kinematic.contact.clearance import scenery_of
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
 
-SIT_S, RISE_S, SETTLE_S = 2.0, 1.8, 1.5
-"""Durations of sitting down, of getting up, and of standing still before [s]."""
+SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
+"""Durations of sitting down, of getting up, of standing still before, and of lying down or sitting up [s]."""
 STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps and of turns before a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
@@ -37,8 +37,8 @@ DEPTH_M = 0.018
 """Depth by which the collision shapes of a seated person may be in the seat, as cushions give way [m]."""
 BESIDE_M = 0.8
 """Seats within this distance of a table or desk belong to it."""
-APART_M = 0.75
-"""Least distance between people who sit side by side [m]."""
+APART_M, LIES_APART_M = 0.75, 1.6
+"""Least distance between people who sit side by side, and of those who sit down from the hips of somebody who lies [m]."""
 
 
 class SeatPlace(NamedTuple):
@@ -49,6 +49,14 @@ class SeatPlace(NamedTuple):
     """Place ``(x, z, heading)`` [3] at which the person turns the back to the seat."""
     stand: Array
     """Place ``(x, z, heading)`` [3] at which the person stands before sitting down."""
+    lie: Array | None = None
+    """Place ``(x, z, heading)`` of the hips of a person who lies there, the feet ahead, and how far the hips are ahead of the
+    root [4]; None: they only sit."""
+
+    @property
+    def taken(self) -> Array:
+        """Place ``(x, z, heading)`` of who sits or lies there, and the distance that others keep from it, [4]."""
+        return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:
@@ -104,7 +112,7 @@ class Seats:
             InputError: The seat does not fit the body, somebody has it, or there is no room before it.
         """
         x, z, heading = stand_before(self._body, seat).tolist()
-        if any(math.hypot(other[0] - x, other[1] - z) < APART_M for other in taken):
+        if any(math.hypot(other[0] - x, other[1] - z) < (*other[3:], APART_M)[0] for other in taken):
             raise InputError(
                 f"{seat.name} is taken, or the seat beside it. Hint: choose another one.", code="H3-SIM-064"
             )
@@ -119,6 +127,36 @@ class Seats:
                 code="H3-SIM-065",
             )
         return SeatPlace(seat, before, stand)
+
+    def to_lie(self, place: SeatPlace, taken: Sequence[Array] = ()) -> SeatPlace:
+        """Return the places for lying down on a seat that the person can use, while others have the places ``taken``.
+
+        Raises:
+            InputError: The surface is too small for the body, or something or somebody is in its way.
+        """
+        seat, sitting = place.seat, fit(self._body, place.seat)
+        to_head, to_feet, aside = sitting.lying_size.tolist()
+        side, hips = math.copysign(1.0, seat.ends[0] - seat.ends[1]), float(sitting.lying[1][0, 0])
+        # as near to where the person sits as the surface allows
+        along = min(max(0.0, side * seat.ends[1] + to_feet), side * seat.ends[0] - to_head)
+        inward = min(max(aside, sitting.edge_m - hips), seat.depth_m - aside)
+        ahead = np.array([math.cos(seat.heading), -math.sin(seat.heading)])
+        at = seat.edge[[0, 2]] - inward * ahead + side * along * np.array([ahead[1], -ahead[0]])
+        lies = place._replace(lie=np.array([*at, seat.heading - side * math.pi / 2, hips]))
+        small = along < side * seat.ends[1] + to_feet or inward < aside
+        small = small or any(math.hypot(*(other[:2] - at)) < LIES_APART_M for other in taken)
+        shares = np.linspace(1, 2, len(sitting.lying[1]))[::5]
+        track = np.array([root_at(lies, share) for share in shares.tolist()])
+        # the seat itself carries the body
+        if small or not self._is_clear(
+            track, sitting.lying[0][::5], sitting.lying[1][::5], on=seat.name.partition(":")[0]
+        ):
+            raise InputError(
+                f"{self._body.name} cannot lie on {seat.name}: there is no room. Hint: choose a bed of "
+                f"{to_head + to_feet:.2f} x {2 * aside:.2f} m or more, with nothing higher and nobody beside it.",
+                code="H3-SIM-069",
+            )
+        return lies
 
     def nearest(self, xz: Array, within_m: float, taken: Sequence[Array] = ()) -> SeatPlace | None:
         """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
@@ -156,29 +194,48 @@ class Seats:
                     break
         return None
 
-    def _is_clear(self, track: Array, quats: Array, pelvis: Array, depth_m: float = 0.0) -> bool:
-        """Return whether the body in poses [T] at places [T, 3] is in nothing, or no deeper than ``depth_m``."""
+    def _is_clear(self, track: Array, quats: Array, pelvis: Array, depth_m: float = 0.0, on: str = "") -> bool:
+        """Return whether the body in poses [T] at places [T, 3] is in nothing but ``on``, or no deeper than ``depth_m``."""
         body = self._body
         roots = ground_pose(track[:, :2], track[:, 2], self._free.height_at(track[:, :2]))
         frames = shape_frames(body, body.joint_matrices(roots, quats, pelvis))
         capsules = [shape for shape in body_shapes(body) if isinstance(shape, Capsule)]
         shapes = MovingShapes([replace(shape, radius=shape.radius - depth_m) for shape in capsules])
+        scenery = scenery_of(self._scene)
         for pose in frames:
             shapes.set_transforms(pose)
-            if collide(scenery_of(self._scene), shapes):
+            if any(scenery.names[contact.index_a] != on for contact in contacts(scenery, shapes)):
                 return False
         return True
 
 
 Motion = Iterator[tuple[Array, float]]
-"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, after each step."""
+"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
 
 
 def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
     """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
     yield from take_seat(here, place)
-    yield from _shares(place.stand, 1, 1, seconds)
+    up, steps = 1.0 if place.lie is None else 2.0, round(LIE_S / STEP_S) + 1
+    # each part of lying down and sitting up begins and ends at rest, so the share itself need not
+    way = [(root_at(place, share), share) for share in np.linspace(1, up, steps).tolist()] if up > 1 else []
+    yield from way[1:]
+    yield from _shares(root_at(place, up), up, up, seconds)
+    yield from way[-2::-1]
     yield from leave_seat(place.stand, place, 1.0)
+
+
+def root_at(place: SeatPlace, share: float) -> Array:
+    """Return the place ``(x, z, heading)`` [3] of a person with a ``share`` of 1 (sitting) to 2 (lying) on a seat."""
+    x, z, heading = place.stand.tolist()
+    if place.lie is None or share <= TUCKED:
+        return place.stand
+    lies_x, lies_z, end, hips = place.lie.tolist()
+    u = smoothstep(min((share - TUCKED) / (TURNED - TUCKED), 1.0))
+    turned = heading + u * float(wrap_angle(end - heading))
+    x, z = x + hips * math.cos(heading), z - hips * math.sin(heading)
+    x, z = x + u * (lies_x - x), z + u * (lies_z - z)
+    return np.array([x - hips * math.cos(turned), z + hips * math.sin(turned), turned])
 
 
 def take_seat(here: Array, place: SeatPlace) -> Motion:

@@ -162,7 +162,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
     if inside:
         tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
         distance = math.hypot(tx - x, tz - z)
-        return (0.0, 0.0) if distance < 0.1 else ((tx - x) / distance * 0.8, (tz - z) / distance * 0.8)
+        return (0.0, 0.0) if distance < 0.1 else ((tx - x) / distance * rules[21], (tz - z) / distance * rules[21])
     nearest, ax, az = rules[7], 0.0, 0.0
     for k in range(30):
         px, pz = point_along(theirs, their_lengths, min(their_along + k * AHEAD_M, their_lengths[-1]))
@@ -178,12 +178,12 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
     if sample_sdf(sdf, origin, cell, x, z) < 0.4:  # not into the wall, but along it
         ax, az = ax + 0.5 * gx, az + 0.5 * gz
     length = max(math.hypot(ax, az), 1e-9)
-    return ax / length * 0.6, az / length * 0.6
+    return ax / length * rules[20], az / length * rules[20]
 
 
 @kernel(error_model="numpy")
 def choose_velocity(
-    sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
+    sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
 ):
     """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
 
@@ -197,6 +197,7 @@ def choose_velocity(
         radii: Their radii [N] [m].
         body: Motion of the crowd's people (`follow`) [M, 4].
         stays: Who of them stays (`step_crowd`) [M, 3]; who is seated does not make way.
+        firsts: Number of the person to whom each of them gives way (`first_through`), -1: nobody [M].
         wx: Wanted velocity [m/s].
         wz: The same along z.
         most: Greatest speed [m/s].
@@ -288,6 +289,9 @@ def choose_velocity(
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
             reach += rules[4]
+            # who gives way is on the way out of the path
+            if j < len(body) and firsts[j] == m and not forces:
+                ahead_s = rules[19]
         # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
@@ -446,6 +450,9 @@ def step_crowd(
         if stays[m, 2] > 0.0 or (moods[m, 2] > 0.0 and TABLE[int(moods[m, 0]), 8] == 0.0):
             claims[m, 0] = 0.0  # who stands does not go through
             best[m, 1] = step
+    firsts = np.empty(len(counts), np.intp)
+    for m in range(len(counts)):
+        firsts[m] = first_through(claims, company, m, rules[6])
     for m in range(len(counts)):
         # each decides at steps of their own, so that not all decide in the same one
         pause = max(int(traits[m, 2] / dt + 0.5), 1)
@@ -453,7 +460,7 @@ def step_crowd(
             continue
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         x, z, most = places[m, 0], places[m, 1], traits[m, 0]
-        j = first_through(claims, company, m, rules[6])
+        j = firsts[m]
         if j >= 0:
             wx, wz = yield_velocity(
                 sdf,
@@ -507,7 +514,23 @@ def step_crowd(
         walks_up = moods[m, 2] > 0.0 and reaction[5] > 0.0
         furniture = of_robots if walks_up or int(moods[m, 0]) == IMPASSIVE else 0
         chosen[m, 0], chosen[m, 1] = choose_velocity(
-            sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
+            sdf,
+            origin,
+            cell,
+            m,
+            places,
+            velocities,
+            radii,
+            body,
+            stays,
+            firsts,
+            wx,
+            wz,
+            most,
+            furniture,
+            traits,
+            forces,
+            rules,
         )
     # after all have chosen: nobody chooses by where others have moved in this step
     for m in range(len(counts)):

@@ -53,6 +53,19 @@ class CrowdSpec:
     """Social force: angular range of an interaction for turning aside."""
     company_in_sight: bool = True
     """True if people of a walking group keep together with those whom they see, and go on at least slowly."""
+    way_horizon_s: float = 2.0
+    """Time within which `orca` avoids a collision with somebody who gives way to the person [s]."""
+    aside_mps: float = 0.6
+    """Speed of people who step aside for others [m/s]."""
+    back_mps: float = 0.8
+    """Speed of people who go back for others [m/s]."""
+
+    @classmethod
+    def of_version(cls, version: int) -> CrowdSpec:
+        """Return the constants of a version of the rules (`sim_kinematic.crowd.crowd.VERSION`)."""
+        if version > 2:
+            return cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1)
+        return cls(company_in_sight=version > 1)
 
     @property
     def numbers(self) -> Array:

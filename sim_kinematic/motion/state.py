@@ -95,7 +95,8 @@ class HumanState(_Arrays):
     arms: NDArray[np.float64]
     """Fold of the left and the right arm, from 0 (out) to 1 (in), shape [W, 2]."""
     seat: NDArray[np.float64]
-    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting on it (1), shape [W, 2]."""
+    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it,
+    shape [W, 2]."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:

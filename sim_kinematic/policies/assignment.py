@@ -17,7 +17,7 @@ from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.roles import check_groups, read_role
-from sim_kinematic.crowd.routines import Routine, make_morning
+from sim_kinematic.crowd.routines import Routine, make_routine
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -46,7 +46,7 @@ def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: 
     role = read_role(words, episode.seed, number)
     routine = None
     if role.routine:
-        stops = make_morning(episode.scene, episode.seed, number)
+        stops = make_routine(episode.scene, episode.seed, number, role.routine)
         routine = Routine(episode.scene, episode.free, stops, episode.roster[number].body)
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 

@@ -46,7 +46,7 @@ class PoseAction(NamedTuple):
     """Place on the floor ``(x, z)`` [m]."""
     heading: float
     seat: tuple[float, float] = (0.0, 0.0)
-    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting on it (1)."""
+    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it."""
 
 
 class GaitAction(NamedTuple):

@@ -3,6 +3,9 @@
 The pose on the seat follows from contact alone. The shanks stand, the skin of the hips touches the seat, and the hands lie on
 the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path between standing and
 sitting the hips go back before they go down, and the trunk leans forward meanwhile, which keeps the weight over the feet.
+
+Who lies down draws the knees up until the feet are over the surface, turns on the hips, stretches the legs and lies back. Hips,
+upper back, head and calves of somebody who lies touch the surface.
 """
 
 from __future__ import annotations
@@ -47,7 +50,27 @@ HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
 TABLE = 61
-"""Poses between standing and sitting that are computed for one seat; between them they are interpolated."""
+"""Poses between standing and sitting that are computed for one seat, and as many up to lying; between them they are
+interpolated."""
+TUCKED, TURNED, STRETCHED, RECLINES = 1.34, 1.64, 1.86, 1.72
+"""Shares of the path, from 1 (sitting) to 2 (lying), at which the knees are drawn up, the person has turned, the legs are
+stretched, and the trunk begins to lie back."""
+TUCK_DEG, LYING_DEG = np.array([-36.0, 24.0, 8.0, 134.0, 76.0, 8.0]), np.array([-90.0, 0.0, 4.0, 90.0, 90.0, 28.0])
+"""Postures with drawn-up knees and lying: pitch of the pelvis, bend of the spine and of the neck, forward positive; angles of
+thighs and shanks with the vertical, ahead positive; and how far the feet are stretched."""
+LYING_PARTS = (
+    ("pelvis",),
+    ("spine3", "left_collar", "right_collar"),
+    ("head",),
+    ("left_knee", "right_knee", "left_ankle", "right_ankle"),
+)
+LYING_LEVERS = np.array([0.2, 0.12, 0.4])
+"""Parts of the body that touch a surface on which somebody lies, and the distances of all but the first from the joint that
+lowers them, in body heights."""
+BELLY, LYING_ELBOWS = (-0.055, 0.07, 0.035), (-0.2, -0.25, 1.0)
+"""Places of the wrists of somebody who lies from the pelvis, in body heights, and direction of the elbows: ahead, up and
+outwards."""
+_THIGHS = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
 _ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
 
 
@@ -106,6 +129,61 @@ class Sitting:
         """`pose` at `TABLE` equal shares of the path."""
         return self.pose(np.linspace(0, 1, TABLE))
 
+    @cached_property
+    def lying(self) -> tuple[Array, Array]:
+        """Poses at `TABLE` equal shares of the path from sitting (1) to lying (2), during which the agent root turns."""
+        body, share = self.body, np.linspace(1, 2, TABLE)
+        owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
+        parts = [np.isin(owner, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
+        flat = LYING_DEG.copy()
+        # what touches decides how far back, neck and legs are turned: each part is lowered or lifted to where the hips are
+        for _ in range(8):
+            quats = self._laid_out(flat[None])
+            skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, np.zeros((1, 3))))[0]
+            hips, *others = (float(skin[part, 1].min()) for part in parts)
+            trunk, head, legs = np.degrees((np.array(others) - hips) / LYING_LEVERS / body.height_m)
+            flat += (-trunk, 0.0, trunk - head, -legs, -legs, 0.0)
+        drawn, stretched, back, arms_by = (
+            smoothstep(np.clip((share - begin) / (end - begin), 0, 1))[:, None]
+            for begin, end in ((1, TUCKED), (TURNED, STRETCHED), (RECLINES, 2), (TURNED, 2))
+        )
+        seated, pelvis = (np.repeat(part, TABLE, 0) for part in self.pose(1.0))
+        quats = self._laid_out(TUCK_DEG + np.where(np.arange(6) < 3, back, stretched) * (flat - TUCK_DEG))
+        quats = quat_nlerp(seated.reshape(-1, 4), quats.reshape(-1, 4), np.repeat(drawn, 55)).reshape(seated.shape)
+        roots = np.tile(IDENTITY_POSE, (TABLE, 1))
+        frames = body.joint_matrices(roots, quats, pelvis)
+        belly = pelvis[:, None] + body.height_m * np.array([BELLY, BELLY]) * ((1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
+        laid = bend_arms(body.joint_offsets, frames, belly, pole=LYING_ELBOWS, twist_deg=TWIST_DEG)
+        arms = _hands_on_thighs(body, frames).reshape(-1, 4)
+        arms = quat_nlerp(arms, laid.reshape(-1, 4), np.repeat(arms_by, len(_ARMS)))
+        quats[:, _ARMS] = arms.reshape(TABLE, -1, 4)
+        skin = body.skin(body.joint_matrices(roots, quats, pelvis))
+        # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
+        above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
+        above &= ~np.isin(owner, _THIGHS)
+        pelvis[:, 1] += self.seat_m - SINK_M - np.where(above, skin[..., 1], np.inf).min(1)
+        return quats, pelvis
+
+    @cached_property
+    def lying_size(self) -> Array:
+        """Distances from the hips of somebody who lies to head, toes and sides [3] [m]."""
+        skin = self.body.skin(self.body.joint_matrices(IDENTITY_POSE, *(part[-1:] for part in self.lying)))[0]
+        ahead = skin[:, 0] - self.lying[1][-1, 0]
+        return np.array([-ahead.min(), ahead.max(), np.abs(skin[:, 2]).max()])
+
+    def _laid_out(self, angles: Array) -> Array:
+        """Rotations [T, 55, 4] in the agent root frame for postures as `LYING_DEG`, [T, 6]."""
+        quats = stand_posture(self.body.gaits.legs, len(angles)).quats.copy()
+        pitch, spine, neck, thigh, shank, foot = angles.T
+        turns = {"pelvis": pitch, **dict.fromkeys(("spine1", "spine2", "spine3"), spine / 3)}
+        turns |= {"neck": neck / 2, "head": neck / 2}
+        for side, *_ in SIDES:
+            turns |= {f"{side}_hip": -thigh - pitch, f"{side}_knee": thigh - shank, f"{side}_ankle": foot}
+        for name, angle in turns.items():
+            quats[:, JOINT_INDEX[name]] = quat_from_matrix(rotation(X, angle))
+        quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
+        return quats
+
     def fits(self, depth_m: float) -> bool:
         """Returns whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
         return self.edge_m - self.back_m <= depth_m + SINK_M
@@ -118,24 +196,27 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
         body: Their body.
         quats: Local rotations [T, 55, 4].
         pelvis: Places of the pelvis in the agent root frame [T, 3].
-        seats: Height of the seat above the floor [m], and share of the path from standing (0) to sitting (1), [T, 2].
+        seats: Height of the seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on
+            it, [T, 2].
 
     Raises:
         InputError: there are not two finite numbers for each pose, or a seat does not fit the legs of this body.
     """
     seats = np.asarray(seats, np.float64)
-    if seats.shape != (len(quats), 2) or not np.isfinite(seats).all() or (seats[:, 1] > 1).any():
+    if seats.shape != (len(quats), 2) or not np.isfinite(seats).all() or (seats[:, 1] > 2).any():
         raise InputError(
-            f"Expected the height of a seat and a share of at most 1 for {len(quats)} poses, finite numbers of shape "
+            f"Expected the height of a seat and a share of at most 2 for {len(quats)} poses, finite numbers of shape "
             f"[{len(quats)}, 2], got shape {list(seats.shape)}.",
             code="H3-BODY-179",
         )
     rows = np.flatnonzero(seats[:, 1] > 0)
     # by millimetres, because each height has a table of its own, which is cached
-    for height in np.unique(seats[rows, 0].round(3)).tolist():
-        own = rows[seats[rows, 0].round(3) == height]
-        turns, places = sitting_on(body, height).table
-        at = seats[own, 1] * (TABLE - 1)
+    kinds = np.column_stack([seats[rows, 0].round(3), seats[rows, 1] > 1])
+    for height, lies in np.unique(kinds, axis=0).tolist():
+        own = rows[(kinds == (height, lies)).all(1)]
+        sitting = sitting_on(body, height)
+        turns, places = sitting.lying if lies else sitting.table
+        at = (seats[own, 1] - lies) * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
         share = (at - low)[:, None]
         # 0.05: share of the path over which a standing person's own pose goes over into it

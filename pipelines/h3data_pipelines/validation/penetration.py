@@ -6,6 +6,9 @@ runs. This looks at them afterwards.
 The one contact that an agent intends: while it picks or places, the hand, the forearm of a person and what the hand holds may
 be in the thing on or in which the object lies, or is to lie, because what is taken from a shelf is taken from inside it.
 Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf, the carried object on its way.
+
+The surface on which somebody lies does not count either. The capsules of a trunk are as thick as it is broad, so they reach
+farther into it than the skin does, which `benchmarks.lying` measures.
 """
 
 from __future__ import annotations
@@ -164,6 +167,12 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
     for row, things in enumerate(_supports(replay.recording, number, steps, scenery)):
         if things:
             intended[row] = reaching & np.isin(thing[row], list(things))
+    seat = replay.recording.columns.get(f"agent_{number}.motion_seat")
+    beds = [event for event in replay.recording.events if event.agent == number and event.kind == "sits_down"]
+    if seat is not None and beds:
+        last = np.searchsorted([event.step for event in beds], steps, "right") - 1
+        names = np.array([event.target.partition(":")[0] for event in beds], object)[np.maximum(last, 0)]
+        intended |= (thing == names[:, None]) & (seat[steps, 1] > 1)[:, None]
     return Penetration(
         agent=number,
         parts=(*parts, HELD),

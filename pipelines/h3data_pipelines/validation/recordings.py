@@ -122,7 +122,7 @@ def _schema(rec: Recording) -> Iterator[Finding]:
             "motion_phase": ("float32", (), (0, 1)),
             "motion_blend": ("float32", (), (0, 1)),
             "motion_arms": ("float32", (2,), (0, 1)),
-            "motion_seat": ("float32", (2,), (0, 1)),
+            "motion_seat": ("float32", (2,), (0, 2)),
         }
         kind, shape, limits = kinds.get(match[2], (array.dtype.name, array.shape[1:], None))
         if not _is(array, kind, shape):
@@ -374,6 +374,8 @@ def _in_walls(rec: Recording, replay: _Poses) -> Iterator[Finding]:
     for i, agent in enumerate(rec.agents):
         root = rec.agent_column(i, "base_pose")[:, :3].astype(np.float64)
         on_storey = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.height_at(root[:, [0, 2]])) < 0.5)
+        if f"agent_{i}.motion_seat" in rec.columns:  # who lies is on a bed, with the root among the legs
+            on_storey &= rec.columns[f"agent_{i}.motion_seat"][:, 1] <= 1
         depth = np.full(len(root), -np.inf)
         depth[on_storey] = -free.signed_distance(root[on_storey][:, [0, 2]])
         if (depth > WALL_M).any():

@@ -16,11 +16,11 @@ from h3data.scene import FreeSpace
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.crowd.routines import (
     ACTIVITIES,
-    MORNING,
+    DAYS,
     ROOM_M,
     Routine,
     Stop,
-    make_morning,
+    make_routine,
     place_beside,
     posture_of,
 )
@@ -32,9 +32,9 @@ SCENE, FREE = open_scene(SOURCE), open_free_space(SOURCE, 0.25, 1.41)
 
 @given(st.integers(0, 2**40), st.integers(0, 20))
 def test_a_morning_is_the_same_always_and_keeps_its_order(seed: int, number: int):
-    stops = make_morning(SCENE, seed, number)
-    assert stops == make_morning(SCENE, seed, number)
-    order = [MORNING.index(stop.activity) for stop in stops]
+    stops = make_routine(SCENE, seed, number)
+    assert stops == make_routine(SCENE, seed, number)
+    order = [DAYS["morning"].index(stop.activity) for stop in stops]
     assert order == sorted(set(order))
     category = {thing.name: SCENE.assets[thing.asset].category for thing in SCENE.instances}
     for stop in stops:
@@ -71,7 +71,7 @@ def test_stops_that_nobody_can_make_are_refused(stops: list[Stop]):
 
 def test_nobody_spends_a_morning_in_an_empty_hall():
     with pytest.raises(SceneError, match="H3-SIM-062"):
-        make_morning(hall(), 1, 1)
+        make_routine(hall(), 1, 1)
     assert FreeSpace.from_scene(hall(), cache=False) is not None
 
 

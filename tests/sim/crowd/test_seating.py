@@ -111,7 +111,7 @@ def test_take_seats_is_the_pose_and_leaves_who_stands(name: str):
     np.testing.assert_allclose(pelvis[1:], places, atol=2e-3)
 
 
-@pytest.mark.parametrize("seats", [np.zeros((2, 2)), np.array([[np.nan, 1.0]]), np.array([[0.45, 1.2]]), np.zeros(2)])
+@pytest.mark.parametrize("seats", [np.zeros((2, 2)), np.array([[np.nan, 1.0]]), np.array([[0.45, 2.2]]), np.zeros(2)])
 def test_what_is_no_seat_is_refused(seats: np.ndarray):
     body = load_humanoid("female_0")
     with pytest.raises(InputError, match="H3-BODY-179"):
