@@ -2,7 +2,7 @@
 
 python -m bake.place_from_sight OUT.jsonl 0.25
 
-The number is the share of worlds in which the teacher acts (`SkillSettings.demonstrations`). docs/skills.md says what it showed.
+The number is the share of worlds in which the teacher acts (`SkillSettings.demonstrations`); docs/skills.md has the results.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-
-import torch
 
 from h3data_training.ppo import Learner, schedule
 from h3data_training.skills.episodes import make_skill_bank
@@ -25,6 +23,8 @@ UPDATES = 100
 
 def main(file: Path, demonstrations: float) -> None:
     """Trains and writes a row for each update."""
+    import torch
+
     torch.set_num_threads(1)
     settings = replace(
         skill_recipe("tiny", "place"),
