@@ -1,4 +1,4 @@
-"""docs/pictures/behaviour_*.webp: films of learned policies, found in recordings by events and by how agents move.
+"""docs/pictures/behaviour_*.webp: six films of learned policies, found in recordings by events and by how agents move.
 
 h3data generate social_nav --policy end_to_end --scenes h3-homes/test --episodes 30 --seed 9107 -o nav
 h3data generate rearrange --policy plan_pop_3_pixels --partner both --scenes h3-homes/test --episodes 12 --seed 9107 -o pixels
@@ -28,8 +28,8 @@ from h3data.render import look_at, pinhole
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.scene import Room
 
-SIZE, FRAMES, MILLISECONDS = (400, 300), 48, 100
-"""Size of a picture [px], the most frames of a film, and how long each is shown [ms]."""
+SIZE, SIZE_ABOVE, FRAMES, MILLISECONDS = (400, 300), (560, 420), 48, 100
+"""Sizes of pictures [px], the most frames of a film, and how long each is shown [ms]."""
 FPS = 30
 ROBOT, PERSON = 0, 1
 Track = NDArray[np.floating[Any]]
@@ -230,9 +230,9 @@ def above(replay: Replay, motion: Motion, moment: Moment) -> CameraTrack:
     low, high = there.min(0) - 0.8, there.max(0) + 0.8
     (x, z), (width, depth) = (low + high) / 2, high - low
     floor = float(replay.recording.columns["agent_0.base_pose"][0, 1])
-    eye_y = max(width * SIZE[1] / SIZE[0], depth) * 1.05 + 1.0
+    eye_y = max(width * SIZE_ABOVE[1] / SIZE_ABOVE[0], depth) * 1.05 + 1.0
     lens = pinhole(
-        *SIZE,
+        *SIZE_ABOVE,
         hfov_deg=60,
         name="above",
         pose=look_at(np.array([x, floor + eye_y, z + 0.35 * eye_y]), np.array([x, floor + 0.5, z])),
