@@ -30,8 +30,11 @@ class Worlds(Protocol):
     """Sums over worlds and steps, of `counts`."""
     counted: Tensor
     """Worlds that are counted in `totals`, bool [W]; overwritten by the learner."""
-    shown: Tensor | None
-    """Worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+
+    @property
+    def shown(self) -> Tensor | None:
+        """Worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+        ...
 
     @property
     def counts(self) -> tuple[str, ...]:

@@ -283,6 +283,7 @@ def test_the_teacher_acts_in_some_worlds_that_are_not_counted(bank: SkillBank) -
     own = replace(bank, holds=np.ones(len(bank), np.bool_))
     worlds = ActionRepeatSkills(settings, own, device="cpu")
     learner = Learner(settings, worlds, seed=0)
+    assert worlds.shown is not None
     assert worlds.shown.tolist() == [True, True, False, False]
     learner.update(schedule(settings, 0.0, 10))
     steps = worlds.counts.index("steps")
