@@ -20,6 +20,10 @@ class ActionRepeat:
     play: Any
     """State of all worlds; overwritten by every step."""
     hold: int
+    counted: Tensor
+    """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
+    shown: Tensor | None = None
+    """Worlds in which a teacher acts as long as it has a weight, bool [W]; None: in none."""
     _advance: Callable[[], None]
     """`_eager`, or the CUDA graph that was captured of it."""
     _action: Tensor
@@ -53,6 +57,7 @@ class ActionRepeat:
         self.gain = torch.zeros(worlds, device=device)
         self.over, self.timed_out, self.idle = (torch.zeros(worlds, dtype=torch.bool, device=device) for _ in range(3))
         self.totals = torch.zeros(len(self.counts), device=device)
+        self.counted = torch.ones(worlds, dtype=torch.bool, device=device)
 
     def _hold_action(self) -> None:
         """`hold` steps of all worlds, in place."""
@@ -69,7 +74,9 @@ class ActionRepeat:
             ends = live & play.ended
             gained = torch.where(live, play.reward.float(), 0.0)
             gain = gain + gained
-            sums = sums + torch.stack([gained.sum(), *self._counted(before, live, ends)]).float()
+            own = self.counted
+            counted = [(gained * own).sum(), *self._counted(before, live & own, ends & own)]
+            sums = sums + torch.stack(counted).float()
             live = live & ~ends
             if k < self.hold - 1:
                 inside, timed_out = inside | ends, timed_out | (ends & play.truncated)

@@ -28,6 +28,13 @@ class Worlds(Protocol):
     device: torch.device
     totals: Tensor
     """Sums over worlds and steps, of `counts`."""
+    counted: Tensor
+    """Worlds that are counted in `totals`, bool [W]; overwritten by the learner."""
+
+    @property
+    def shown(self) -> Tensor | None:
+        """Worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+        ...
 
     @property
     def counts(self) -> tuple[str, ...]:
@@ -133,6 +140,8 @@ class Learner:
         self._noise = torch.zeros_like(self.memory.last)
         self._row = torch.zeros(1, dtype=torch.int64, device=device)
         """Row of the buffers that the next decision fills."""
+        self._shown = worlds.shown if settings.teacher > 0 and worlds.shown is not None and worlds.shown.any() else None
+        """Worlds in which the teacher acts, bool [W]; None: it acts in none."""
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
@@ -140,6 +149,8 @@ class Learner:
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()
+        if self._shown is not None:
+            self.worlds.counted.copy_(~self._shown | (plan.teacher == 0))
         first = self.memory.state.clone()
         last = self._collect(plan)
         advantages, targets, explained = self._advantages(last, plan.gamma)
@@ -202,11 +213,16 @@ class Learner:
             "far": m.shown["way"][:, 0] > s.near_m,
             "log_prob": (-0.5 * self._noise.square() - std.log()).sum(1),
         }
+        own = ~torch.zeros_like(m.over)
         if taught:
             row["taught"] = self.worlds.taught()
+            if self._shown is not None:
+                # a little noise, so that it is seen to correct itself
+                action = torch.where(self._shown[:, None], row["taught"] + s.least_std * self._noise, action)
+                own = ~self._shown
         keep_row(self._kept, self._row, row, rows=s.rollout)
         shown, gain, over, timed_out, idle = self.worlds.repeat_action_in_place(action)
-        after = {"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle}
+        after = {"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle & own}
         keep_row(self._kept, self._row, after, rows=s.rollout)
         self._row.add_(1).remainder_(s.rollout)
         going = ~over[:, None]
@@ -256,7 +272,9 @@ class Learner:
                 ratio, gain = (log_prob - x["log_prob"]).exp(), advantages[:, rows]
                 clipped = ratio.clamp(1 - s.clip, 1 + s.clip)
                 worth = (torch.minimum(ratio * gain, clipped * gain) * valid[:, rows]).mean()
-                wrong = (net.value_head(x["critic_obs"]).squeeze(-1) - targets[:, rows]).square().mean()
+                wrong = (net.value_head(x["critic_obs"]).squeeze(-1) - targets[:, rows]).square()
+                # what the teacher gains is no estimate of what the policy will
+                wrong = (wrong * valid[:, rows] if self._shown is not None and plan.teacher else wrong).mean()
                 guess = F.smooth_l1_loss(
                     net.auxiliary(state if acts else state.detach()), x["critic_obs"][..., :-1], beta=0.5
                 )

@@ -285,6 +285,19 @@ def test_people_recorded_by_clips_walk_with_planted_feet(tmp_path: Path):
     np.testing.assert_allclose(pelvis, expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["learn_single_partner_0", "learn_pop_partner_0"])
+def test_a_learned_person_walks_beside_a_robot_that_is_played(tmp_path: Path, name: str):
+    game = table(tmp_path, seats=("robot",), partner=name).begin(GameOrder(index=0, name="000000"))
+    before = game.session.play.team.actors[1].xz.copy()  # type: ignore[attr-defined]
+    Player(game).play(90)
+    assert np.hypot(*(game.session.play.team.actors[1].xz - before)) > 0.3  # type: ignore[attr-defined]
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert recording.episode.info["partner"].startswith(name)
+    assert recording.agents[0].action_names
+    assert verify(recording).difference is None
+
+
 @pytest.mark.slow
 def test_steering_the_robot(tmp_path: Path):
     game = table(tmp_path, seats=("robot",), partner="object_2").begin(GameOrder(index=0, name="000000"))

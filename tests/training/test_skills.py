@@ -258,6 +258,59 @@ def test_starts_nearby_are_repeated(bank: SkillBank) -> None:
     assert len(bank.with_near(0.0)) == len(bank)
 
 
+def test_starts_at_the_stand_have_the_arm_on_its_way(bank: SkillBank) -> None:
+    settings = replace(SMALL, near_share=0.0, reaching_share=0.5)
+    sim = ActionRepeatSkills(settings, bank, device="cpu").sim
+    count = len(sim.bank)
+    assert count == 2 * len(bank)
+    now = sim.step(sim.before_the_first(torch.arange(count) - 1), torch.zeros(count, sim.action_width))
+    new = torch.arange(count) >= len(bank)
+    assert torch.equal(now.joints[~new], sim.arm.rest.expand(len(bank), -1).float())
+    assert (now.way[new] < 0.3).all()
+    # the farther the arm is extended, the nearer is the hand
+    assert sim.bank.unfolded is not None
+    extended, apart = torch.as_tensor(sim.bank.unfolded)[new], now.apart[new]
+    assert np.corrcoef(extended, apart)[0, 1] < -0.7
+    reaching = replace(sim.bank, unfolded=np.ones(count))
+    sim = SkillTensors("pick", reaching, device="cpu", dtype=torch.float32)
+    there = sim.step(sim.before_the_first(torch.arange(count) - 1), torch.zeros(count, sim.action_width))
+    assert (there.apart[new] < 0.15).all()
+    assert bank.with_reaching(0.0, 0.0, np.random.default_rng(0)) is bank
+
+
+def test_the_teacher_acts_in_some_worlds_that_are_not_counted(bank: SkillBank) -> None:
+    settings = replace(SMALL, skill="place", demonstrations=0.5, std=0.1)  # type: ignore[arg-type]
+    own = replace(bank, holds=np.ones(len(bank), np.bool_))
+    worlds = ActionRepeatSkills(settings, own, device="cpu")
+    learner = Learner(settings, worlds, seed=0)
+    assert worlds.shown is not None
+    assert worlds.shown.tolist() == [True, True, False, False]
+    learner.update(schedule(settings, 0.0, 10))
+    steps = worlds.counts.index("steps")
+    assert worlds.counted.tolist() == [False, False, True, True]
+    assert float(worlds.totals[steps]) <= 2 * settings.rollout * settings.hold
+    assert not learner._kept["valid"][:, :2].any()
+    assert learner._kept["valid"][1:, 2:].all()
+    # the next decision is told what the teacher has done, but for a little noise
+    taught = learner._kept["taught"][-1].clamp(-1, 1)
+    off = (learner.memory.last - taught).abs().amax(1)
+    assert (off[:2] < 0.5).all()
+    assert (off[2:] > 0.5).all()
+    # without the teacher, the policy acts everywhere
+    learner.update(schedule(settings, 0.9, 10))
+    assert worlds.counted.all()
+    assert learner._kept["valid"].all()
+
+
+def test_a_hand_that_nobody_teaches_lets_go_now_and_then() -> None:
+    place = skill_recipe("tiny", "place")
+    assert place.first_action[-1] == 1.6
+    assert replace(place, teacher=0.0).first_action[-1] == 1.0
+    assert replace(skill_recipe("tiny", "pick"), teacher=0.0).first_action[-1] == 2.0
+    with pytest.raises(InputError, match=r"(?s)demonstrations.*H3-TRAIN-056"):
+        replace(place, demonstrations=1.0)
+
+
 # --- pictures -----------------------------------------------------------------------------------------------------------
 PICTURED = replace(
     skill_recipe("fast", "pick"),

@@ -17,6 +17,8 @@ OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is
 GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
 """The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
 after: around 1, robots learned not to take anything, since they dropped it again."""
+UNTAUGHT_GRIP = 1.0
+"""The same for place without a teacher: around 1.6, noise of 0.4 lets go once in 30,000 decisions, so nothing is placed."""
 UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
 """Settings of social navigation that have no meaning for skills."""
 
@@ -36,6 +38,12 @@ class SkillSettings(Settings):
     near_share: float = 0.0
     """Share of starts within a metre of where the target is reached from. A robot that has to get there first seldom gets to
     know what comes then."""
+    reaching_share: float = 0.0
+    """Share of starts at the place from which the target is reached, with the arm somewhere between rest and the target. A
+    robot without a teacher first gets to know what comes at the end."""
+    demonstrations: float = 0.0
+    """Share of worlds in which the teacher acts as long as it has a weight. The policy imitates it there too, and so gets to
+    know states that it does not reach itself."""
     limit: int = 300
     """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
     observations: tuple[str, ...] = OF_THE_BASE
@@ -46,8 +54,11 @@ class SkillSettings(Settings):
         super().__post_init__()
         if self.network != "cnn_gru":
             raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.", code="H3-TRAIN-055")
-        if not 0 <= self.near_share < 1:
-            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.", code="H3-TRAIN-056")
+        for name in ("near_share", "reaching_share", "demonstrations"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(
+                    f"Expected {name} from 0 to less than 1, got {getattr(self, name)}.", code="H3-TRAIN-056"
+                )
         if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
             raise InputError(
                 f"Expected starts and limit of at least 1 and path_m ascending, "
@@ -82,8 +93,12 @@ class SkillSettings(Settings):
         return (
             still
             if self.skill == "nav"
-            else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), GRIPS[self.skill])
+            else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), self._first_grip)
         )
+
+    @property
+    def _first_grip(self) -> float:
+        return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
         """Returns the second stage of social navigation without the teacher: the actor has left it behind."""
@@ -134,7 +149,12 @@ _FAST_ARM = replace(
     limit=300,
 )
 RECIPES: dict[str, dict[Skill, SkillSettings]] = {
-    "fast": {"nav": _FAST, "pick": _FAST_ARM, "place": replace(_FAST_ARM, skill="place")},
+    "fast": {
+        "nav": _FAST,
+        "pick": _FAST_ARM,
+        # without demonstrations, it never saw what comes after letting go before the teacher was gone
+        "place": replace(_FAST_ARM, skill="place", demonstrations=0.25, minibatches=16),
+    },
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
 }
 """``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; only critic and teacher are told

@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from h3data.bodies import load_robot
 from h3data_training.envs.torch_env import places_in_bank
 from h3data_training.held import ActionRepeat
 from h3data_training.skills.settings import SkillSettings
@@ -18,6 +20,7 @@ from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.teacher import taught
 from h3data_training.torch.skills.worlds import SkillTensors
+from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.sensing.sensor import scaled_depth
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
@@ -43,12 +46,16 @@ class ActionRepeatSkills(ActionRepeat):
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
         self.limit, self._by_sight = settings.limit, "way" not in settings.observations
         starts = bank.with_near(settings.near_share)
+        if settings.reaching_share:
+            bearing = reach_bearing(load_robot(settings.robot))
+            starts = starts.with_reaching(settings.reaching_share, bearing, np.random.default_rng(0))
         self.sim = SkillTensors(settings.skill, starts, device=device, dtype=torch.float32, robot=settings.robot)
         told = dict.fromkeys((*settings.observations, *settings.critic))
         self._names = tuple(name for name in told if name != "arm_depth")
         worlds, where = self.num_envs, self.device
         self.play = self.sim.before_the_first(torch.full((worlds,), -1, dtype=torch.int64, device=where))
         self._make_totals(worlds, where)
+        self.shown = torch.arange(worlds, device=where) < round(settings.demonstrations * worlds)
         self._action = torch.zeros(worlds, self.sim.action_width, device=where)
         self._shown: dict[str, Tensor] = {}
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile

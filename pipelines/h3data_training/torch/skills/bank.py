@@ -48,6 +48,8 @@ class SkillBank:
     """Point at which the object lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
     """The nearest place from which the hand reaches the point, [N, 2] [m]."""
+    unfolded: NDArray[np.float64] | None = None
+    """Share of the motion from rest to reaching that the arm has made at the start, [N]; None: it is at rest."""
 
     @classmethod
     def of(cls, starts: Sequence[tuple[RearrangeEpisode, FreeSpace, Sequence[SkillStart]]]) -> SkillBank:
@@ -105,6 +107,29 @@ class SkillBank:
             return self
         rows = np.concatenate([np.arange(len(self)), np.resize(np.flatnonzero(near), missing)])
         return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
+
+    def with_reaching(self, share: float, bearing: float, rng: np.random.Generator) -> SkillBank:
+        """Bank in which starts at the stands, with the arm partly extended, make up a share of all.
+
+        Such a start repeats one of the bank, but the robot is where the hand reaches the target, and turned so that it does.
+
+        Args:
+            share: share of the starts, from 0 to less than 1.
+            bearing: direction in which the robot reaches, to the left of its forward axis [rad].
+            rng: decides how far arms are extended.
+        """
+        count = round(share / (1.0 - share) * len(self))
+        if not count:
+            return self
+        rows = np.resize(np.arange(len(self)), count)
+        ahead = self.point[rows][:, [0, 2]] - self.stand[rows]
+        near = {name: getattr(self, name)[rows] for name in COLUMNS}
+        near |= {"xz": self.stand[rows], "heading": np.arctan2(-ahead[:, 1], ahead[:, 0]) - bearing}
+        return replace(
+            self,
+            **{name: np.concatenate([getattr(self, name), near[name]]) for name in COLUMNS},
+            unfolded=np.concatenate([np.zeros(len(self)), rng.uniform(0.0, 1.0, count)]),
+        )
 
     def __len__(self) -> int:
         return len(self.place)

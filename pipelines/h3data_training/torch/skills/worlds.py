@@ -204,6 +204,8 @@ class SkillTensors:
             return tensor.to(dtype) if tensor.is_floating_point() else tensor
 
         self._starts = torch.cat([on_device(bank.xz), on_device(bank.heading[:, None])], 1)
+        unfolded = np.zeros(len(bank)) if bank.unfolded is None else bank.unfolded
+        self._joints = torch.lerp(self.arm.rest.expand_as(self._reaching), self._reaching, on_device(unfolded[:, None]))
         self._place, self._target, self._holds = map(on_device, (bank.place, bank.target, bank.holds))
         self._objects, self._point, self._stand = map(on_device, (bank.objects, bank.point, bank.stand))
         self._turned, self._straight = on_device(quat_to_matrix(bank.turned)), on_device(np.eye(3))
@@ -276,7 +278,7 @@ class SkillTensors:
         joints, held = play.joints, play.held
         if self.skill != "nav":
             joints = self.arm.moved(joints, action[:, 2:-1], self.arm_rules)
-        joints = torch.where(begins, self.arm.rest, joints)
+        joints = torch.where(begins, self._joints[episode], joints)
         objects = torch.where(begins[..., None], self._objects[episode], play.objects)
         hand = place_hand(self.arm.hand(joints), robot.xz, robot.heading, floor_y)
         if self.skill != "nav":
