@@ -232,10 +232,10 @@ def test_a_pair_of_bots_plays_a_study_alone_together_beside_an_expert_and_a_mode
     assert info["condition"] == "together"
     assert info["ended"] == "success"
     assert [agent.kind for agent in recording.agents] == ["human", "human"]
-    assert {event.user for event in recording.input if event.kind == "client"} == {0, 1}
+    assert {event.user for event in recording.inputs if event.kind == "client"} == {0, 1}
     assert sorted(remark["agent"] for remark in info["hitl"]["remarks"]) == [0, 1]
     assert verify(recording).difference is None
-    assert main(["study", "report", str(folder)]) == 0
+    assert main(["study", "report", str(folder), "--pictures", "0"]) == 0
     rows = list(csv.DictReader((folder / "report" / "trials.csv").read_text().splitlines()))
     together = [row for row in rows if row["condition"] == "together"]
     assert len(together) == 2
