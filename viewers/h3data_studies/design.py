@@ -28,7 +28,7 @@ class Condition(Record, frozen=True):
     name: Name
     app: str = "rearrange"
     play_as: Role | Annotated[list[Role], Meta(min_length=1, max_length=2)] = "person"
-    """What a participant plays; a list of two: two participants play together, in one home."""
+    """Role of a participant; a list of two: two participants play together, in one home."""
     partner: str | None = None
     """Policy of all agents that nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
     rules: dict[str, Any] = {}
