@@ -19,11 +19,13 @@ from h3data.recording import RecordingWriter
 from h3data.recording.log_lines import SAY, log_lines
 from h3data.scene import FreeSpace
 from h3data_language.episode import LanguageSpec
+from h3data_language.rearrange_talk import nearest_talk
 from h3data_language.talk import INTENTS, Intent, say
 from h3data_language.task import Language
 from h3data_pipelines.cli import main
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.html_replay.story import _events, add_story
+from sim_kinematic.tasks.rearrange.task import Rearrange, RearrangeSpec
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import simulate
 
@@ -191,3 +193,26 @@ def test_pages_show_an_instruction_and_do_not_run_its_markup(tmp_path: Path) -> 
         assert MARKUP not in page
         assert "<script>alert(2)" not in page
     assert "Put &lt;img src=x onerror" in (tmp_path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("observe", ["full", "seen"])
+def test_planners_of_rearrangement_say_what_they_take_and_leave_it_to_each_other(observe: str) -> None:
+    scene, free = place("h3-homes/val#3")
+    task = Rearrange()
+    spec = RearrangeSpec(observe=observe, max_steps=2500)  # type: ignore[arg-type]
+    start = task.episode(scene, free=free, seed=3, spec=spec)
+    policies = {a.name: nearest_talk(task, start, k) for k, a in enumerate(start.roster)}
+    made = simulate(task, start, policies)
+    assert made.episode.info["ended"] == "success"
+    taken: dict[int, str] = {}
+    for _, agent, _, text in said(made):
+        intent = Intent.of(text)
+        assert intent is not None
+        if intent.kind == "i_take":
+            taken[agent] = intent.names[0]
+            assert len(set(taken.values())) == len(taken), "nobody takes what the other has said to take"
+        elif intent.kind == "i_leave":
+            taken.pop(agent, None)
+    assert {"i_take"} <= {text.split()[0] for *_, text in said(made)}
+    assert (observe == "seen") == any(text.startswith("is_in ") for *_, text in said(made))
+    assert verify(made).equal

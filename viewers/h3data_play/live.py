@@ -167,6 +167,7 @@ class EpisodeFactory:
             "steps": len(recording),
             "slipped": info["hitl"]["slipped"],
             "remarks": info["hitl"].get("remarks", []),
+            "agents": list(self.numbers),
             "step_ms": None,
             "path": str(path),
             "share_in": self.plan.out,

@@ -114,6 +114,8 @@ class Running:
     """Step in which each player last asked to be led to a thing."""
     heard: dict[int, int] = field(default_factory=dict)
     """Number of messages of agents of which each player has been told."""
+    left: int = -1
+    """Agent of the player who has ended the game by leaving it; -1: nobody has."""
     asked: dict[int, float] = field(default_factory=dict)
     """Players who have not answered the question at the end yet, and when they were asked."""
 
@@ -406,6 +408,7 @@ class Worker:
         assert isinstance(message, Act)
         if isinstance(message, Leave):
             self._take(running, number, message, text, arrived)
+            running.left = number
             self.finish(running)
             return
         if running.asked:
@@ -578,6 +581,8 @@ class Worker:
             "steps": steps,
             "slipped": game.slipped,
             "remarks": game.remarks,
+            "agents": list(game.drivers),
+            "left": running.left,
             "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
             "path": "" if recording is None else str(game.path),
             "share_in": game.share_in,

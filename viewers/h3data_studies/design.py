@@ -16,6 +16,7 @@ Text = str | dict[str, str]
 """Words for participants: the same in all languages, or by language."""
 Minutes = Annotated[float, Meta(gt=0, le=10_000)]
 Count = Annotated[int, Meta(ge=1, le=1000)]
+Role = Literal["person", "robot"]
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -27,7 +28,8 @@ class Condition(Record, frozen=True):
 
     name: Name
     app: str = Rearrange.name
-    play_as: Literal["person", "robot"] = "person"
+    play_as: Role | Annotated[list[Role], Meta(min_length=1, max_length=2)] = "person"
+    """Role of a participant; a list of two: two participants play together, in one home."""
     partner: str | None = None
     """Policy of all agents that nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
     rules: dict[str, Any] = {}
@@ -37,8 +39,18 @@ class Condition(Record, frozen=True):
 
     @property
     def is_solo(self) -> bool:
-        """Return whether nobody else takes part."""
-        return self.partner == "solo"
+        """Return whether people are alone, or among themselves."""
+        return self.partner == "solo" or (self.partner is None and self.seats.count("person") > 1)
+
+    @property
+    def seats(self) -> tuple[Role, ...]:
+        """Roles of the participants who play together."""
+        return (self.play_as,) if isinstance(self.play_as, str) else tuple(self.play_as)
+
+    @property
+    def is_shared(self) -> bool:
+        """Return whether two participants play together."""
+        return len(self.seats) > 1
 
 
 class Consent(Record, frozen=True):
@@ -81,6 +93,8 @@ class DropOut(Record, frozen=True):
     """Minutes without a key, click or answer; pauses count."""
     total_minutes: Minutes = 240.0
     """Time limit from consent to the end [min]."""
+    wait_minutes: Minutes = 20.0
+    """Time for which somebody waits for the participant with whom they are to play [min]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
     """Episodes of which a larger share of steps came late are left out of the report."""
 
@@ -211,6 +225,11 @@ class Design(Record, frozen=True):
     bonus: Bonus | None = None
     texts: dict[str, dict[str, str]] = {}
     """Words of the pages, by language and name, that differ from the built-in ones."""
+
+    @property
+    def has_pairs(self) -> bool:
+        """Return whether participants come in pairs, because two of them play together under some condition."""
+        return any(condition.is_shared for condition in self.conditions)
 
     def condition(self, name: str) -> Condition:
         """The condition with a name."""

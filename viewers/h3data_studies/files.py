@@ -111,6 +111,12 @@ def _with_relative(design: Design, base: Path) -> Design:
 
 def _check(design: Design) -> None:
     _distinct("conditions", [c.name for c in design.conditions])
+    if design.has_pairs and design.participants % 2:
+        raise InputError(
+            "Expected an even number of participants, because a condition is played by two together, got "
+            f"{design.participants}.",
+            code="H3-STUDY-051",
+        )
     if not design.conditions:
         raise InputError("Expected at least one [[conditions]].", code="H3-STUDY-017")
     if not design.scenes:
@@ -288,16 +294,17 @@ def bots_folder(folder: Path) -> Path:
 
 
 def deal(design: Design) -> tuple[Place, ...]:
-    """Deals conditions, scenes and episodes to all participants.
+    """Deals conditions, scenes and episodes to all participants; two neighbours are dealt the same if pairs play together.
 
     Raises:
         InputError: there are no such scenes.
     """
     scenes = scene_names(design)
     practice = 0 if design.tutorial.skip else 1
+    together = 2 if design.has_pairs else 1
     pool = [str(k) for k in range(math.ceil(len(design.conditions) / len(scenes)) * design.episodes + practice)]
     sessions = plan_sessions(
-        design.participants,
+        design.participants // together,
         [c.name for c in design.conditions],
         dict.fromkeys(scenes, pool),
         episodes_per_condition=design.episodes,
@@ -311,6 +318,7 @@ def deal(design: Design) -> tuple[Place, ...]:
             blocks=tuple(Block(b.condition, b.scene, tuple(int(e) for e in b.episodes)) for b in session.blocks),
         )
         for session in sessions
+        for _ in range(together)
     )
 
 
@@ -332,7 +340,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
             plan = PlayPlan(
                 app=condition.app,
                 out=str(folder.resolve()),
-                seats=(condition.play_as,),
+                seats=condition.seats,
                 partner=condition.partner,
                 scenes=scene,
                 seed=design.seed,
@@ -376,7 +384,7 @@ def _tutorial(design: Design) -> Condition:
     """The tutorial as a condition, in the seat of the first one."""
     said = design.tutorial
     return Condition(
-        name="tutorial", app=said.app, play_as=design.conditions[0].play_as, partner="solo", rules=said.rules
+        name="tutorial", app=said.app, play_as=design.conditions[0].seats[0], partner="solo", rules=said.rules
     )
 
 

@@ -18,6 +18,8 @@ SMALL = "small_window"
 """Reason why a device is refused for now; also the row of its last report."""
 CHECK, FAILED = "check", "failed_check"
 """Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
+PARTED, UNPAIRED = "partner_left", "no_partner"
+"""Reasons for the end of a participation: the participant with whom they played has gone, or none has come."""
 PASSED = "success"
 """Ending of a passed episode of the tutorial."""
 
@@ -98,6 +100,16 @@ class Progress:
     def attempts(self) -> int:
         """Episodes of the tutorial that are over."""
         return sum(key.startswith("tutorial/") for key in self.rows)
+
+    def is_shared(self, row: str) -> bool:
+        """Return whether a row is that of an episode which two participants play together."""
+        kind, *numbers = row.split("/")
+        return kind == "episode" and self.design.condition(self.place.blocks[int(numbers[0]) - 1].condition).is_shared
+
+    @property
+    def has_met(self) -> bool:
+        """Return whether the participant has played with another one."""
+        return any(map(self.is_shared, self.rows))
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:

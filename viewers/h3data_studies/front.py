@@ -21,10 +21,10 @@ from h3data_play.plan import GameOrder
 from h3data_play.seats import Game, Seat, new_token, uptime
 from h3data_studies.design import StudyPlan
 from h3data_studies.exclusions import FOCUS
-from h3data_studies.flow import DROPPED, WITHDRAWN, NotNow
+from h3data_studies.flow import DROPPED, PARTED, SCREENED_OUT, UNPAIRED, WITHDRAWN, NotNow
 from h3data_studies.orders import game_key, order_of, row_of
 from h3data_studies.pseudonyms import completion_code, read_key, recruit_ids, refused_id, rejoin_code
-from h3data_studies.store import Participant, StudyStore
+from h3data_studies.store import Participant, StudyStore, pair_entry
 from h3data_studies.views import consent_view, end_view, stage_view
 
 CHECK_S, HURRIED_S = 60.0, 10.0
@@ -35,6 +35,10 @@ MOST_UNCHECKED = 3
 JOINS_S = 600.0
 """An address may send as many new participants in this time as may take part from it at once."""
 TOKEN_LENGTH = len(new_token())
+NOT_YET = "The other participant is not here yet. Please keep this page open."
+MEET_S = 0.5
+HOLD_S = 20.0
+"""Time for which a request waits for the other participant of a pair before the page has to ask again [s]."""
 WATCH_S = 5.0
 """Interval of checks for participants who have dropped out [s]."""
 MOST_PAUSES = 200
@@ -168,6 +172,8 @@ class StudyServer(WebServer):
         for participant in self.journal.participants.values():
             if participant.is_active and not participant.progress.rows:
                 self._unchecked[participant.number] = ""
+        self._lobby: dict[int, tuple[str, float]] = {}
+        """Participants who wait for the other one of their pair: the stage, and since when by the clock."""
         self._joins: dict[str, tuple[float, float]] = {}
         """Number of participants who may still join from an address, and the time of that count."""
 
@@ -383,13 +389,15 @@ class StudyServer(WebServer):
             progress = participant.progress
             ended = {"participant": participant.id, "status": progress.status, "reason": progress.reason}
             self.report({"ended": ended})
-            game = self.journal.open_game(participant.number)
+            game = self.journal.shared_game(participant)
             if game is not None:
                 self._spawn(self._leave(game))
 
     async def _leave(self, game: Game) -> None:
         """Ends the episode of somebody who will not come back; its recording is finished."""
         with contextlib.suppress(Failed, TimeoutError, web.HTTPException):
+            if game.over:
+                return
             live = self._live(game)
             begun = await asyncio.wait_for(asyncio.shield(live.begun), 60.0)
             live.worker.send("input", game.key, [begun["agents"][0], '{"k":"leave"}', time.monotonic() * 1e3])
@@ -483,7 +491,50 @@ class StudyServer(WebServer):
                 participant.progress.require_here(body.block, body.trial)
             except NotNow as fault:
                 raise web.HTTPConflict(text=str(fault)) from None
+            await self._meet(participant)
         return await super().sit(request)
+
+    # --- pairs --------------------------------------------------------------------------------------------------------
+    async def _meet(self, participant: Participant) -> None:
+        """Waits until the other participant of the pair has come as far, if an episode is played by both.
+
+        Raises:
+            web.HTTPException: They have not come yet, or will not come.
+        """
+        key = participant.progress.stage.key
+        known, since = self._lobby.get(participant.number, ("", 0.0))
+        self._lobby[participant.number] = (key, since if known == key else self.clock())
+        ends = time.monotonic() + (HOLD_S if known == key else 0.0)
+        while participant.is_active and self._lacks_company(participant):
+            why = PARTED if self._is_parted(participant) else ""
+            if self.clock() - self._lobby[participant.number][1] > self.design.dropout.wait_minutes * 60:
+                why = why or UNPAIRED
+            if why:
+                participant.progress.end(SCREENED_OUT, why)
+                self._save(participant, {})
+                return
+            if time.monotonic() > ends:
+                raise web.HTTPServiceUnavailable(text=NOT_YET)
+            self.journal.saw(participant)
+            await asyncio.sleep(MEET_S)
+        self._lobby.pop(participant.number, None)
+
+    def _lacks_company(self, participant: Participant) -> bool:
+        """Returns whether the next episode cannot begin because the other participant of the pair is elsewhere."""
+        stage = participant.progress.stage
+        if not participant.progress.is_shared(stage.key) or self.journal.shared_game(participant) is not None:
+            return False
+        other = self.journal.company(participant)
+        return other is None or not other.is_active or other.progress.stage.key != stage.key
+
+    def _is_parted(self, participant: Participant) -> bool:
+        """Returns whether the next episode is for two, and the one with whom they have played before has left."""
+        other, progress = self.journal.company(participant), participant.progress
+        return progress.is_shared(progress.stage.key) and progress.has_met and (other is None or not other.is_active)
+
+    def _agent(self, seat: Seat, begun: dict[str, Any]) -> int:
+        agents, participant = begun["agents"], self.journal.participants[seat.place]
+        return int(agents[len(agents) - 1 if not seat.game.startswith(f"{participant.id}/") else 0])
 
     def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
@@ -496,31 +547,41 @@ class StudyServer(WebServer):
     def _game_for(self, seat: Seat) -> Live:
         participant = self.journal.participants[seat.place]
         self.journal.saw(participant)
-        game = self.journal.open_game(participant.number)
+        game = self.journal.shared_game(participant)
         if not participant.is_active:
             raise web.HTTPGone(text="The session has ended. Reload the page.")
         if game is None:
             stage = participant.progress.stage
             if stage.kind not in ("tutorial", "episode"):
                 raise web.HTTPConflict(text="There is something else to do first. Reload the page.")
+            if self._lacks_company(participant):
+                raise web.HTTPServiceUnavailable(text=NOT_YET)
             self._require_capacity()
-            game = self.journal.begin_episode(participant, game_key(participant, stage))
+            company = self.journal.company(participant) if participant.progress.is_shared(stage.key) else None
+            first = participant if company is None or participant.place < company.place else company
+            game = self.journal.begin_episode(first, game_key(first, stage))
         if seat.game != game.key:
             self.journal.assign(seat, game)
         return self._live(game)
 
     def _order(self, game: Game) -> GameOrder:
-        return order_of(self.study, self.journal.participants[game.place], game.key)
+        return order_of(self.study, self.journal.participants[game.place], game.key, *self.journal.players(game)[1:])
 
     def _is_last(self) -> bool:
         return False
 
     def _over(self, live: Live, over: dict[str, Any]) -> None:
-        game, participant = live.game, self.journal.participants.get(live.game.place)
-        if not game.over and participant is not None:
-            result = {name: over.get(name) for name in ("ended", "steps", "slipped", "step_ms")}
-            if over.get("remarks"):
-                result["remarks"] = over["remarks"]
+        game = live.game
+        players = () if game.over else self.journal.players(game)
+        agents, remarks = over.get("agents", ()), over.get("remarks") or ()
+        left = dict(zip(agents, players, strict=False)).get(over.get("left"))
+        stays = [player for player in players if player.is_active and player is not left]
+        for participant, agent in zip(players, agents or (-1,) * len(players), strict=False):
+            result = {name: over.get(name) for name in ("ended", "steps", "slipped", "step_ms")} | pair_entry(players)
+            if own := [remark for remark in remarks if len(players) == 1 or remark["agent"] == agent]:
+                result["remarks"] = own
+            if over["ended"] == "closed" and stays == [participant] and len(players) > 1:
+                participant.progress.end(SCREENED_OUT, PARTED)
             self._save(participant, participant.progress.over(row_of(game.key), result))
             self.journal.saw(participant)
         super()._over(live, over)
@@ -552,9 +613,14 @@ class StudyServer(WebServer):
         self.journal.count_time()
         now = self.clock()
         for live in self.lives.values():
-            participant = self.journal.participants.get(live.game.place)
-            if participant is not None:
-                participant.idle = min([participant.idle, *(now - c.heard for c in live.sockets.values())])
+            waits = len(live.sockets) < len(
+                self.journal.players(live.game)
+            )  # for the other participant: that is not idle
+            for sid, connection in live.sockets.items():
+                seat = self.journal.seats.get(sid)
+                participant = None if seat is None else self.journal.participants.get(seat.place)
+                if participant is not None:
+                    participant.idle = min(participant.idle, 0.0 if waits else now - connection.heard)
         self.journal.keep_time()
         rules = self.design.dropout
         for participant in list(self.journal.participants.values()):
@@ -564,6 +630,8 @@ class StudyServer(WebServer):
                 participant.progress.end(DROPPED, "idle")
             elif participant.used > rules.total_minutes * 60:
                 participant.progress.end(DROPPED, "too_long")
+            elif self._is_parted(participant) and self.journal.shared_game(participant) is None:
+                participant.progress.end(SCREENED_OUT, PARTED)
             else:
                 continue
             self._save(participant, {})

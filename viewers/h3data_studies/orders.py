@@ -25,7 +25,13 @@ def row_of(key: str) -> str:
 
 
 def recording_path(folder: Path, pseudonym: str, row: str) -> Path:
-    """File of the recording of an episode or of an attempt at the tutorial."""
+    """File of the recording of an episode or of an attempt at the tutorial.
+
+    Args:
+        folder: Folder of the study.
+        pseudonym: Participant; of two who have played together both, joined by ``_``.
+        row: Row of the episode.
+    """
     return folder / f"{_name(pseudonym, row)}.mcap"
 
 
@@ -36,28 +42,43 @@ def _name(pseudonym: str, row: str) -> str:
     return f"{RECORDINGS}/{pseudonym}_{numbers[0]}-{int(numbers[1]):02d}"
 
 
-def order_of(study: StudyPlan, participant: Participant, key: str) -> GameOrder:
-    """Returns the order of a game for a worker, and the entries of its recording."""
-    place, design, row = study.places[participant.place], study.design, row_of(key)
+def _facts(participant: Participant) -> dict[str, Any]:
     device = participant.progress.rows.get("device", {})
-    hitl: dict[str, Any] = {
-        "study": {"name": design.name, "version": design.version},
+    return {
         "consent": participant.consent,
         "language": participant.language,
         "client": {k: device[k] for k in ("browser", "system", "gpu", "touch", "headset") if k in device},
     }
+
+
+def order_of(study: StudyPlan, participant: Participant, key: str, company: Participant | None = None) -> GameOrder:
+    """Returns the order of a game for a worker, and the entries of its recording.
+
+    Args:
+        study: Plan of the study.
+        participant: Player of the game; of two who play together, the one in its first seat.
+        key: Key of the game.
+        company: Player in its second seat.
+    """
+    place, design, row = study.places[participant.place], study.design, row_of(key)
+    hitl: dict[str, Any] = {"study": {"name": design.name, "version": design.version}, **_facts(participant)}
+    players = [participant.id] if company is None else [participant.id, company.id]
     kind, *numbers = row.split("/")
-    name = _name(participant.id, row)
+    name = _name("_".join(players), row)
     if kind == "tutorial":
         number = study.number("", place.blocks[0].scene)
         hitl |= {"participant": participant.id, "tutorial": int(numbers[0])}
         return GameOrder(index=place.practice[0], name=name, plan=number, hitl=hitl)
     k, trial = map(int, numbers)
     block = place.blocks[k - 1]
+    info: dict[str, Any] = {"participant": "+".join(players), "condition": block.condition}
+    if company is not None:
+        info["participants"] = players
+        hitl["company"] = _facts(company)
     return GameOrder(
         index=block.episodes[trial - 1],
         name=name,
         plan=study.number(block.condition, block.scene),
-        info={"participant": participant.id, "condition": block.condition},
+        info=info,
         hitl={**hitl, "block": k, "trial": trial},
     )

@@ -29,6 +29,8 @@ class PlayedEpisode:
     ended: str
     steps: int
     slipped: int
+    pair: tuple[str, ...] = ()
+    """Both participants, in the order of their seats, if two have played it together."""
     remarks: tuple[Mapping[str, Any], ...] = ()
     """Reported problems, and the answer to the question at the end, as the recording has them."""
 
@@ -62,6 +64,7 @@ def played(participant: Participant) -> list[PlayedEpisode]:
                     str(result["ended"]),
                     steps,
                     slipped,
+                    tuple(result.get("pair") or ()),
                     tuple(result.get("remarks") or ()),
                 )
             )

@@ -163,9 +163,10 @@ class StudyStore(SeatLog):
                 times=times.get(number, {}),
             )
         for game in self.games.values():  # killed between the end of an episode and its row
-            participant = self.participants.get(game.place)
-            if game.over and participant is not None:
-                self.save(participant, participant.progress.over(game.key.partition("/")[2], {"ended": game.over}))
+            players = self.players(game) if game.over else ()
+            for participant in players:
+                result = {"ended": game.over, **pair_entry(players)}
+                self.save(participant, participant.progress.over(game.key.partition("/")[2], result))
 
     # --- participants -------------------------------------------------------------------------------------------------
     def by_id(self, pseudonym: str) -> Participant | None:
@@ -173,9 +174,43 @@ class StudyStore(SeatLog):
         return next((p for p in self.participants.values() if p.id == pseudonym), None)
 
     def free_place(self) -> int | None:
-        """The first place that nobody has or has filled: that of somebody who has dropped out is free again."""
+        """The first place that nobody has or has filled: that of somebody who has dropped out is free again.
+
+        In a study of pairs, a place stays empty if the participant at the other place of the pair has begun to play
+        with the one who has left.
+        """
         taken = {p.place for p in self.participants.values() if p.progress.status in (ACTIVE, COMPLETE)}
-        return next((k for k in range(len(self.places)) if k not in taken), None)
+        return next((k for k in range(len(self.places)) if k not in taken and self._is_open(k)), None)
+
+    def _is_open(self, place: int) -> bool:
+        other = self._last_at(place ^ 1) if self.design.has_pairs else None
+        if other is None or other.progress.status not in (ACTIVE, COMPLETE):
+            return True
+        return other.is_active and not other.progress.has_met and self.shared_game(other) is None
+
+    def _last_at(self, place: int) -> Participant | None:
+        """The participant who got a place last."""
+        return max((p for p in self.participants.values() if p.place == place), key=lambda p: p.number, default=None)
+
+    # --- pairs --------------------------------------------------------------------------------------------------------
+    def company(self, participant: Participant) -> Participant | None:
+        """The other participant of a pair: who has its other place, or had it last. Two neighbouring places are a pair."""
+        return self._last_at(participant.place ^ 1) if self.design.has_pairs else None
+
+    def players(self, game: Game) -> tuple[Participant, ...]:
+        """Participants who play a game, in the order of its seats: of a pair, the one with the even place first."""
+        first = self.participants.get(game.place)
+        if first is None:
+            return ()
+        second = self.company(first) if first.progress.is_shared(game.key.partition("/")[2]) else None
+        return (first,) if second is None else (first, second)
+
+    def shared_game(self, participant: Participant) -> Game | None:
+        """The running game of a participant, whichever of the pair it is stored with."""
+        game = self.open_game(participant.number)
+        other = self.company(participant) if game is None else None
+        game = self.open_game(other.number) if other is not None else game
+        return game if game is not None and participant in self.players(game) else None
 
     def join(
         self, pseudonym: str, place: int, *, language: str, consent: dict[str, str], ids: dict[str, str]
@@ -306,7 +341,15 @@ class StudyStore(SeatLog):
         """Deletes a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
         number = participant.number
         removed: dict[str, int] = {}
+        other = self.company(participant)
         with self._transaction():
+            for stage, data in other.progress.rows.items() if other is not None else ():
+                if other is not None and participant.id in data.get("pair", ()):
+                    data["pair"] = ["" if who == participant.id else who for who in data["pair"]]
+                    self._db.execute(
+                        "update rows set data = ? where participant = ? and stage = ?",
+                        (_json(data), other.number, stage),
+                    )
             for what, statement in (
                 ("participants", "delete from participants where number = ?"),
                 ("rows", "delete from rows where participant = ?"),
@@ -335,6 +378,11 @@ class StudyStore(SeatLog):
         self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
         self.games[key] = game
         return game
+
+
+def pair_entry(players: Sequence[Participant]) -> dict[str, list[str]]:
+    """Return what the row of an episode says about two participants who have played it together."""
+    return {"pair": [player.id for player in players]} if len(players) > 1 else {}
 
 
 class _Transaction:

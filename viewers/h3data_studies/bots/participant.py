@@ -218,6 +218,9 @@ class ScriptedParticipant(Client):
         hud = self.heard("hud")[-1]
         task, things = str(hud["task"]), self.manifest["objects"]
         named = sorted((task.find(one["label"]), k) for k, one in enumerate(things) if one["label"] in task)
+        # who plays along brings what they have taken
+        others = [k for _, k in named if self.things[k].held not in (-1, self.me)]
+        self.tried.update(k for k in others if self.manifest["agents"][self.things[k].held]["kind"] == "human")
         open_ = [k for _, k in named if k not in self.tried]
         left = [k for k in open_ if self.things[k].held in (-1, self.me)]
         useful = [k for _, k in named if k < len(hud["uses"]) and hud["uses"][k] and k in left]
@@ -234,7 +237,7 @@ class ScriptedParticipant(Client):
             await self._do(k="pick", o=left[0], lead=True)
             if self.mine != left[0]:
                 self.tried.add(left[0])
-        elif open_:  # somebody else has the rest in their hands
+        elif open_ or others:  # somebody else has the rest in their hands
             await self._pause(30)
         else:
             await self._do(k="end", why="finished")

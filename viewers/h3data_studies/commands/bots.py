@@ -71,12 +71,18 @@ class StudyBots:
                 f"Expected --participants from 1 to {design.participants}, the places of the study, got {count}.",
                 code="H3-STUDY-001",
             )
+        if design.has_pairs and (count % 2 or (self.at_once or 2) % 2):
+            raise InputError(
+                "Expected even --participants and --at-once: a condition of the study is played by two together.",
+                code="H3-STUDY-050",
+            )
         if self.workers < 1 or (self.at_once is not None and self.at_once < 1) or not 0 <= self.speed <= 100:
             raise InputError(
                 "Expected --workers and --at-once of at least 1, and a --speed from 0 to 100.", code="H3-STUDY-002"
             )
         episodes = count * len(design.conditions) * design.episodes
-        crowd = Crowd(count, self.at_once or AT_ONCE_EACH * self.workers, right=right_answers(design))
+        together = 2 if design.has_pairs else 1
+        crowd = Crowd(count, self.at_once or AT_ONCE_EACH * self.workers * together, right=right_answers(design))
         began = time.monotonic()
         if self.link is not None:
             folder = None

@@ -68,7 +68,7 @@ class StudyData:
         person = find_participant(folder, open_store(folder, design), self.participant)
         path = claim_file(self.out or Path(f"{person.id}.zip"), force=self.force, suffix=".zip")
         found = [
-            file for below in (RECORDINGS, TUTORIALS) for file in sorted((folder / below).glob(f"{person.id}_*.mcap"))
+            file for below in (RECORDINGS, TUTORIALS) for file in sorted((folder / below).glob(f"*{person.id}_*.mcap"))
         ]
         today = datetime.now(UTC).date().isoformat()
         readme = _README.format(

@@ -225,16 +225,15 @@ def usable_recordings(
     """Recordings of participants whose episodes can be used, and why how many others are left out."""
     from h3data_studies.overview import played
 
-    files: list[Path] = []
-    left_out: Counter[str] = Counter()
+    reasons: dict[
+        Path, str
+    ] = {}  # an episode that two have played together is one, and left out if it is for one of them
     for person in people:
         for episode in played(person):
             path, why = _recorded(folder, design, episode, rules)
-            if why:
-                left_out[why.partition(" (")[0]] += 1
-            else:
-                files.append(path)
-    return files, left_out
+            reasons[path] = reasons.get(path) or why
+    left_out = Counter(why.partition(" (")[0] for why in reasons.values() if why)
+    return [path for path, why in reasons.items() if not why], left_out
 
 
 def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclusions) -> tuple[Path, str]:
@@ -242,8 +241,9 @@ def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclu
     from h3data_studies.orders import recording_path
     from h3data_studies.overview import usable
 
-    path = recording_path(folder, episode.participant, episode.row)
-    why = rules.people.get(episode.participant) or rules.trials.get((episode.participant, episode.row))
+    path = recording_path(folder, "_".join(episode.pair or (episode.participant,)), episode.row)
+    why = next((rules.people[who] for who in (episode.participant, *episode.pair) if who in rules.people), "")
+    why = why or rules.trials.get((episode.participant, episode.row))
     return path, why or usable(design, episode) or ("" if path.is_file() else "the recording is missing")
 
 
@@ -334,7 +334,8 @@ def trial_rows(
             block = person.progress.place.blocks[e.block - 1]
             path, why = _recorded(folder, design, e, rules)
             when = datetime.fromtimestamp(person.times[e.row], UTC).isoformat(timespec="seconds")
-            values = found.get((person.id, e.condition, str(block.episodes[e.trial - 1])), {})
+            who = "+".join(e.pair) or person.id
+            values = found.get((who, e.condition, str(block.episodes[e.trial - 1])), {})
             rows.append(
                 [
                     person.id,

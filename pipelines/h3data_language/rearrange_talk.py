@@ -1,0 +1,120 @@
+"""Planners of rearrangement that tell each other what they take and where things are, and the same planners without words.
+
+``nearest_talk`` and ``nearest_quiet`` bring the nearest object that is left, as robots and as people. The first leaves to
+others what they have said to take, and with the rule ``observe=seen`` looks first where it has been told that an object is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from h3data.policies import Action, Message, RearrangeView
+from h3data_language.talk import Intent, say
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.rearrange import Chooser, robot_policy
+from sim_kinematic.policies.searching import Search, Seeking
+from sim_kinematic.sensing.sight import surface_names
+
+LATE = 600
+"""Steps after which an object that somebody has said to take, and has not taken, is free for others."""
+
+
+def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
+    """Return a planner that brings the nearest object that is left."""
+    del task, number
+    policy = robot_policy("greedy_nearest")
+    return Seeking(policy) if episode.spec.observe == "seen" else policy
+
+
+def nearest_talk(task: Any, episode: Any, number: int) -> Any:
+    """Return a planner that also says what it takes and sees, and hears the same of others."""
+    del task
+    return Teller(episode, number)
+
+
+class Teller:
+    """Planner of the nearest object that nobody else has said to take."""
+
+    def __init__(self, episode: Any, number: int) -> None:
+        nearest: Any = robot_policy("greedy_nearest")
+        self._nearest, self._chooser = nearest.prefer, Chooser(self._prefer)
+        self.number = number
+        self._seeking = Seeking(self._chooser) if episode.spec.observe == "seen" else None
+        self.policy: Any = self._seeking or self._chooser
+        self._names = [target.name for target in episode.targets]
+        self._surfaces = surface_names(episode.scene)
+        self._claims: dict[int, tuple[int, int]] = {}
+        """For each object the agent that has said to take it, and when."""
+        self._heard, self._taken, self._known = 0, -1, set[int]()
+        self._hinted = False
+        """True if somebody has said where an object is that is not known, and the planner has not chosen since."""
+        self._say: list[Message] = []
+        self._next: Action | None = None
+        """Choice that follows the messages."""
+
+    @property
+    def interrupts_every(self) -> int:
+        """Number of steps after which `interrupts` is asked again."""
+        return getattr(self.policy, "interrupts_every", 1)
+
+    def act(self, view: RearrangeView) -> Action:
+        """Return the next message, or the next skill."""
+        if not self._say and self._next is None:
+            self._listen(view)
+            # a search that has ended was not at the place of which somebody has told
+            self._next = self.policy.act(view._replace(last=None) if self._hinted else view)
+            self._hinted = False
+            self._tell(view)
+        if self._say:
+            return self._say.pop(0).action
+        action, self._next = self._next, None
+        assert action is not None
+        return action
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Return the reason to interrupt the running action, as that of the planner."""
+        self._listen(view)
+        return self.policy.interrupts(view)
+
+    def _prefer(self, view: RearrangeView, left: list[int]) -> int | None:
+        others = {
+            k
+            for k, (agent, step) in self._claims.items()
+            if agent != self.number and (view.step - step <= LATE or view.held_by[k] == agent)
+        }
+        return self._nearest(view, [k for k in left if k not in others])
+
+    def _tell(self, view: RearrangeView) -> None:
+        """Makes the messages about everything that has changed since the last ones."""
+        now = self._chooser._object
+        if now != self._taken:
+            if now >= 0:
+                self._say.append(say("i_take", self._names[now]))
+            elif not view.at_goal[self._taken]:
+                self._say.append(say("i_leave", self._names[self._taken]))
+            self._taken = now
+        if view.places is not None:
+            known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
+            for k in sorted(known - self._known):
+                nearest = int(np.argmin(np.linalg.norm(view.places.points - view.objects[k], axis=1)))
+                self._say.append(say("is_in", self._names[k], self._surfaces[nearest]))
+            self._known |= known
+
+    def _listen(self, view: RearrangeView) -> None:
+        """Takes in the messages of others since the last time."""
+        for event in view.messages[self._heard :]:
+            intent = Intent.of(event.detail)
+            if event.agent == self.number or intent is None or not intent.names or intent.names[0] not in self._names:
+                continue
+            thing = self._names.index(intent.names[0])
+            if intent.kind in ("i_take", "i_leave"):
+                self._claims = {k: claim for k, claim in self._claims.items() if claim[0] != event.agent}
+            if intent.kind == "i_take":
+                self._claims[thing] = event.agent, event.step
+            wanted = not view.is_known(thing) and thing not in self._claims
+            if intent.kind == "is_in" and intent.names[1] in self._surfaces and self._seeking is not None and wanted:
+                self._seeking.search = Search(self._surfaces.index(intent.names[1]))  # which looks there first
+                self._hinted = True
+        self._heard = len(view.messages)
