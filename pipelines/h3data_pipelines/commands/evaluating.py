@@ -31,6 +31,7 @@ from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
+from h3data_pipelines.policy_notes import PolicyNotes
 
 if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath, Paths
@@ -38,20 +39,10 @@ if TYPE_CHECKING:
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
 
-ROBOT_POLICIES = TaskNotes(
-    {
-        "social_nav": "rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, "
-        "end_to_end_paper, random, stand_still or weights:FILE.",
-        "rearrange": "complement, greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot, "
-        "plan_pop_3_pixels and learn_pop.",
-    }
+ROBOT_POLICIES = PolicyNotes(
+    kind="robot", tasks=("social_nav", "rearrange"), more={"social_nav": "weights:FILE"}, shows_default=False
 )
-PARTNERS = TaskNotes(
-    {
-        "rearrange": "plan_pop_1 to plan_pop_4, both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 "
-        "and learn_pop_partner_0 to _2."
-    }
-)
+PARTNERS = PolicyNotes(kind="human", tasks=("rearrange",), shows_default=False)
 SKILLS = TaskNotes({"rearrange": "default none; also oracle, as of h3data generate.", "skill": "default learned."})
 
 

@@ -62,6 +62,7 @@ from h3data_pipelines.jobs.episodes import (
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
+from h3data_pipelines.policy_notes import PolicyNotes
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -77,22 +78,19 @@ COMMIT_STEPS = 30_000
 which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
 """Steps that a frame of a video counts as."""
-ROBOT_POLICIES = TaskNotes(
-    {
-        "social_nav": "rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk), "
-        "learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still.",
-        "rearrange": "complement (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot, "
-        "plan_pop_3_pixels and learn_pop (h3data docs populations), or solo (there is no robot).",
-        "wander": "wander (default) or still.",
-    }
+TASKS = ("social_nav", "rearrange", "wander")
+ROBOT_POLICIES = PolicyNotes(
+    kind="robot",
+    tasks=TASKS,
+    more={
+        "social_nav": "weights:FILE",
+        "rearrange": "weights:FILE, or solo, without a robot (h3data docs populations)",
+    },
 )
-PARTNERS = TaskNotes(
-    {
-        "social_nav": "waypoints (default), wander or still.",
-        "rearrange": "both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of which each episode "
-        "samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE.",
-        "wander": "wander (default), waypoints or still.",
-    }
+PARTNERS = PolicyNotes(
+    kind="human",
+    tasks=TASKS,
+    more={"rearrange": "weights:FILE; of the population of a plan_pop each episode samples one"},
 )
 MAX_STEPS = TaskNotes(
     {"social_nav": "1500.", "rearrange": "1500.", "wander": "300: they walk as long as that, whatever happens."}
