@@ -56,7 +56,7 @@ class PolicyNotes(TaskNotes):
     """``robot`` or ``human``."""
     tasks: tuple[str, ...]
     more: Mapping[str, str] = field(default_factory=dict)
-    """What the option also takes, by task."""
+    """Other values that the option takes, by task."""
     shows_default: bool = True
 
     __hash__ = object.__hash__

@@ -303,7 +303,7 @@ def test_an_episode_that_is_another_fails_when_it_begins(short_nav: tuple[Path, 
     assert "stand_still (1 of 2 episodes)" in done.to_text()
     listed["episodes"].reverse()
     (folder / EPISODES).write_text(json.dumps(listed))
-    with pytest.raises(InputError, match="another episode"):
+    with pytest.raises(InputError, match="H3-JOB-052"):
         run_benchmark(read_benchmark(folder), ["stand_still"], tmp_path / "none")
     assert not (tmp_path / "none").exists()
 

@@ -225,7 +225,8 @@ def serving(environment: Path, servers: Mapping[int, Sequence[str] | str], work:
     import socket
 
     running = [
-        subprocess.Popen(words(environment, each), cwd=work, stdout=subprocess.DEVNULL) for each in servers.values()
+        subprocess.Popen(words(environment, each), cwd=work, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for each in servers.values()
     ]
     try:
         for port in servers:
