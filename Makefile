@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-rl check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-doors check-openpi check-lerobot check-rl check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -113,6 +113,17 @@ test-packages: dev  ### the wheel without each of its packages in turn: what nee
 	$(EPOCH) $(BIN)/python -m build --no-isolation --wheel --outdir $(PACKAGES)
 	$(BIN)/python -m zipfile -e $(PACKAGES)/h3data-*.whl $(PACKAGES)/site
 	H3DATA_SITE=$(CURDIR)/$(PACKAGES)/site $(PYTEST) -m "slow or not slow" --durations 6 tests/product/test_packages.py
+
+DOORS := .venv-doors
+$(DOORS)/.installed: wheel
+	rm -rf $(DOORS) && $(PYTHON) -m venv $(DOORS)/tool && $(PYTHON) -m venv $(DOORS)/base
+	@$(MAKE) --no-print-directory torch-for-cpu IN=$(DOORS)/base/bin/python
+	$(DOORS)/tool/bin/python -m pip install -q --disable-pip-version-check uv
+	$(DOORS)/base/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt dist/*.whl
+	touch $@
+
+check-doors: dev $(DOORS)/.installed  ### each door to other programs from the wheel with its extra and nothing else; environments of their own (2.5 GB)
+	$(BIN)/python -m tests.product.check_doors $(DOORS) dist $(DOOR)
 
 LOWEST := .venv-lowest
 LOWEST_EXTRAS := gltf env rays robomimic foxglove ros hitl remote sql hub frames notebook
@@ -302,4 +313,4 @@ sbom: wheel  ### what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx
 		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
 clean:  ## removes environments and everything that was built
-	rm -rf $(VENV) .venv-lerobot* $(RL) $(LOWEST) out dist build
+	rm -rf $(VENV) .venv-lerobot* $(RL) $(LOWEST) $(DOORS) out dist build

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,14 @@ if TYPE_CHECKING:
 
 SKILL = "skill"
 """Name that commands take in the place of a task: a single skill of a robot."""
+REMARKS: Mapping[str, str] = {
+    "future_oracle": "knows their walk",
+    "end_to_end": "sees by cameras",
+    "end_to_end_paper": "sees by cameras",
+    "plan_pop_3_pixels": "sees by a camera",
+}
+"""Words in brackets after the name of a policy."""
+_NUMBERED = re.compile(r"(.*_)(\d+)")
 
 
 def task_names() -> tuple[str, ...]:
@@ -50,12 +59,25 @@ def policies_of(kind: str, *, default: bool = True) -> TaskNotes:
         from sim_kinematic.policies.assignment import policy_names
 
         first = task.defaults.get(kind, "")
-        others = [name for name in policy_names(task, kind) if name != first]
+        others = in_ranges([name for name in policy_names(task, kind) if name != first])
+        names = [f"{name} ({REMARKS[name]})" if name in REMARKS else name for name in others]
         if default and kind == "robot" and task.usage.can_be_solo:
-            others.append("solo (there is no robot)")
-        return ", ".join([f"{first} (default)" if default else first, *others]) + "."
+            names.append("solo (there is no robot)")
+        return ", ".join([f"{first} (default)" if default else first, *names]) + "."
 
     return task_notes(listed)
+
+
+def in_ranges(names: Sequence[str]) -> list[str]:
+    """Return the names, with ``a_1 to a_3`` for three and more that are numbered one after the other."""
+    runs: list[list[str]] = []
+    for name in names:
+        before, this = _NUMBERED.fullmatch(runs[-1][-1]) if runs else None, _NUMBERED.fullmatch(name)
+        if before and this and before[1] == this[1] and int(this[2]) == int(before[2]) + 1:
+            runs[-1].append(name)
+        else:
+            runs.append([name])
+    return [text for run in runs for text in ([f"{run[0]} to {run[-1]}"] if len(run) > 2 else run)]
 
 
 WITH_SKILLS = of_tasks(lambda task: task.control.has_skills)

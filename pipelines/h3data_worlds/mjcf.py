@@ -284,6 +284,7 @@ class _Reader:
             links=tuple(links),
             joints=self._led(joints),
             rest=self._rest(),
+            has_posture=any(self.m.key(k).name == "home" for k in range(self.m.nkey)),
         )
 
     def _unique(self, name: str, what: str = "link") -> str:

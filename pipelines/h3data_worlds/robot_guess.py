@@ -54,12 +54,13 @@ class Hand(NamedTuple):
     up: Array
 
 
-def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
+def guess_settings(robot: Robot, sure: Collection[str], *, fold: bool = True) -> RobotSettings:
     """Return settings for a robot that has none of its own.
 
     Args:
         robot: The robot as loaded without any, its base frame on the floor.
         sure: Names of the links whose shapes are their own, not stand-ins.
+        fold: True folds the arm over the base; False keeps the posture in which the robot was loaded.
     """
     if len(robot.links) > MOST_LINKS:
         return RobotSettings()
@@ -70,7 +71,9 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
     height = _base_height(robot, zeros, [k for k in body if robot.links[k].name in sure])
     discs, radius = guess_base(robot, zeros, body, height)
     rest = (
-        zeros if hand is None else compact_posture(robot, hand.link, body, zeros, float(max(map(abs, discs)) + radius))
+        zeros
+        if hand is None or not fold
+        else compact_posture(robot, hand.link, body, zeros, float(max(map(abs, discs)) + radius))
     )
     frames = robot.link_matrices(IDENTITY_POSE[None], zeros[None])[0]
     resting = robot.link_matrices(IDENTITY_POSE[None], np.asarray(rest, np.float64)[None])[0]

@@ -18,8 +18,8 @@ from h3data.errors import FormatError, InputError, UntrustedNameError
 from h3data.recording import DatasetWriter, Recording
 from h3data.recording.finding import find_episodes
 from h3data_pipelines.benchmark.definition import (
+    EPISODES,
     benchmark_labels,
-    episode_uid,
     find_benchmark,
     list_episodes,
     read_benchmark,
@@ -29,6 +29,7 @@ from h3data_pipelines.benchmark.result import MANIFEST, result_files, run_benchm
 from h3data_pipelines.benchmark.verification import verify_result
 from h3data_pipelines.cli import main
 from h3data_pipelines.hub.checksums import checksums_of
+from h3data_pipelines.jobs.evaluations import episode_uid
 
 SOCIAL_NAV = """
 format = 1
@@ -305,6 +306,84 @@ def test_a_crowd_decides_again(tmp_path: Path) -> None:
     assert "takes another course" in faults(out, folder)
 
 
+def test_an_episode_that_is_another_fails_when_it_begins(short_nav: tuple[Path, Path], tmp_path: Path) -> None:
+    """The first is compared before anything is played, each other one when it begins."""
+    folder = Path(shutil.copytree(short_nav[0], tmp_path / "other"))
+    listed = json.loads((folder / EPISODES).read_text())
+    listed["episodes"][1]["uid"] = "0" * len(listed["episodes"][1]["uid"])
+    (folder / EPISODES).write_text(json.dumps(listed))
+    done = run_benchmark(read_benchmark(folder), ["stand_still"], tmp_path / "result")
+    assert len(done.failed) == 1
+    assert "makes another episode than that of the benchmark" in done.failed[0]
+    assert done.failed[0].startswith("episode 1 ")
+    assert [(row.played, row.expected) for row in done.result.rows] == [(1, 2)]
+    assert "stand_still (1 of 2 episodes)" in done.to_text()
+    listed["episodes"].reverse()
+    (folder / EPISODES).write_text(json.dumps(listed))
+    with pytest.raises(InputError, match="H3-JOB-052"):
+        run_benchmark(read_benchmark(folder), ["stand_still"], tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_what_is_missing_in_a_definition_is_named(
+    short_nav: tuple[Path, Path], result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(short_nav[0], tmp_path / "bare"))
+    (folder / EPISODES).unlink()
+    assert main(["benchmark", "run", str(folder), "--policy", "stand_still", "-o", str(tmp_path / "out")]) == 2
+    assert "episodes.json" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main(["benchmark", "verify", str(result), "--benchmark", str(folder)]) == 2
+    assert "episodes.json" in capsys.readouterr().err
+    (folder / "benchmark.toml").write_text(SOCIAL_NAV.replace("format = 1", "format = 9"))
+    assert main(["benchmark", "run", str(folder), "--policy", "stand_still", "-o", str(tmp_path / "out")]) == 2
+    assert "format 9" in capsys.readouterr().err.replace("got 9", "format 9")
+
+
+def test_a_result_of_another_format_or_version_is_told(
+    short_nav: tuple[Path, Path], result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = json.loads((result / MANIFEST).read_text())
+    (result / MANIFEST).write_text(json.dumps({**manifest, "format": 9}))
+    for command in (["verify", str(result), "--benchmark", str(short_nav[0])], ["table", str(result)]):
+        assert main(["benchmark", *command]) == 2
+        assert "Expected format 1 of results, got 9" in capsys.readouterr().err
+    (result / MANIFEST).write_text(json.dumps({**manifest, "benchmark": "short-nav@1"}))
+    assert "expected a result of short-nav@2, got one of short-nav@1" in faults(result, short_nav[0])
+    (result / MANIFEST).write_text(json.dumps({**manifest, "definition_sha256": "0" * 64}))
+    assert "of another definition of short-nav@2" in faults(result, short_nav[0])
+
+
+@pytest.mark.parametrize("lost", ["episodes/000001.json", "recordings/000000/meta", "recordings/000001/data"])
+def test_missing_files_are_found(short_nav: tuple[Path, Path], result: Path, lost: str) -> None:
+    shutil.rmtree(result / lost) if (result / lost).is_dir() else (result / lost).unlink()
+    assert "missing, the first is" in faults(result, short_nav[0])
+    renew_digests(result)
+    assert lost.split("/")[0] in faults(result, short_nav[0])
+    for folder in ("episodes", "recordings"):
+        shutil.rmtree(result / folder)
+    renew_digests(result)
+    found = verify_result(result, benchmark=str(short_nav[0]))
+    assert not found.is_true
+    assert found.recordings == 0
+
+
+def test_results_of_two_benchmarks_make_no_table(
+    short_nav: tuple[Path, Path], result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = Path(shutil.copytree(result, tmp_path / "other"))
+    manifest = json.loads((other / MANIFEST).read_text())
+    (other / MANIFEST).write_text(json.dumps({**manifest, "benchmark": "short-nav@1"}))
+    page = tmp_path / "board.md"
+    for folders in ([result, other], [other, result]):
+        words = ["benchmark", "table", *map(str, folders), "--benchmark", str(short_nav[0]), "-o", str(page)]
+        assert main(words) == 2
+        assert "a leaderboard has one benchmark" in capsys.readouterr().err
+    assert not page.exists()
+    assert main(["benchmark", "table", str(tmp_path)]) == 2
+    assert "benchmark.json" in capsys.readouterr().err
+
+
 CANARY = """
 from pathlib import Path
 Path("ran").write_text("")
@@ -354,7 +433,6 @@ def test_what_cannot_be_is_refused(short_nav: tuple[Path, Path], result: Path, t
     (result / MANIFEST).write_text("{")
     with pytest.raises(FormatError):
         verify_result(result, benchmark=str(short_nav[0]))
-    (short_nav[0] / "benchmark.toml").exists()
     broken = definition(tmp_path / "broken", SOCIAL_NAV)
     (broken / "benchmark.toml").write_text(SOCIAL_NAV.replace("version = 2", "version = 'two'"))
     with pytest.raises(FormatError):

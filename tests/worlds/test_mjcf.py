@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from h3data_worlds import mjcf  # noqa: E402
 from h3data_worlds.mjcf import read_mjcf  # noqa: E402
 from tests.paths import ROOT  # noqa: E402
 
-BARROW = ROOT / "tests" / "data" / "mjcf" / "barrow.xml"
+BARROW, PORTER = (ROOT / "tests" / "data" / "mjcf" / f"{name}.xml" for name in ("barrow", "porter"))
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
 
 
@@ -80,6 +81,31 @@ def errors_in_frames(path: Path, root: str, postures: int = 20) -> float:
 # --- a robot as MuJoCo has it -----------------------------------------------------------------------------------------
 def test_frames_are_those_of_mujoco() -> None:
     assert errors_in_frames(BARROW, "chassis") < 1e-6
+
+
+def test_a_robot_rests_as_its_keyframe_says(tmp_path: Path) -> None:
+    robot = load_robot(PORTER)
+    assert errors_in_frames(PORTER, "pelvis", 5) < 1e-6
+    home = {
+        "hip": -0.4,
+        "knee": 0.8,
+        "ankle": -0.4,
+        "neck": 0.2,
+        "shoulder_pitch": 0.35,
+        "shoulder_roll": 0.1,
+        "elbow": -1.2,
+    }
+    for name, resting in zip(robot.joint_names, robot.rest, strict=True):
+        assert resting == pytest.approx(home.get(re.sub("_(left|right)$", "", name), 0.0))
+    links = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    feet = [links[[link.name for link in robot.links].index(f"foot_{side}")] for side in ("left", "right")]
+    for foot in feet:  # soles on the floor and level
+        assert foot[1, 3] == pytest.approx(0.05, abs=2e-3)
+        assert foot[:3, 2] == pytest.approx([0, 1, 0], abs=1e-6)
+    without = written(tmp_path, re.sub('<key name="home".*', "", PORTER.read_text()))
+    folded = load_robot(without)  # at the references, but for the arm of the hand
+    assert dict(zip(folded.joint_names, folded.rest, strict=True))["knee_left"] == 0
+    assert folded.rest.any()
 
 
 def test_several_joints_of_a_body_and_bases_on_rails(tmp_path: Path) -> None:

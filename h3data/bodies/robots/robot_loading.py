@@ -66,7 +66,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
         FormatError: It is not a usable URDF.
     """
     read, sure = with_stand_ins(_read(Path(urdf)))
-    return GUESSES.get("settings")(_robot(read, RobotSettings(), up), sure)
+    return GUESSES.get("settings")(_robot(read, RobotSettings(), up), sure, fold=not read.has_posture)
 
 
 def robot_digest(name_or_path: str | Path) -> str:
@@ -133,16 +133,13 @@ def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
 @lru_cache(maxsize=32)
 def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
-    urdf = _read(files.urdf, allow_missing=fill_in)
-    if not fill_in:
-        robot = _robot(urdf, read_settings(files.settings, urdf), up)
+    read = _read(files.urdf, allow_missing=fill_in)
+    urdf, sure = with_stand_ins(read) if fill_in else (read, frozenset[str]())
+    if fill_in and files.settings is None:
+        settings = GUESSES.get("settings")(_robot(urdf, RobotSettings(), up), sure, fold=not urdf.has_posture)
     else:
-        urdf, sure = with_stand_ins(urdf)
-        if files.settings is None:
-            settings = GUESSES.get("settings")(_robot(urdf, RobotSettings(), up), sure)
-        else:
-            settings = read_settings(files.settings, urdf)
-        robot = _robot(urdf, settings, up)
+        settings = read_settings(files.settings, urdf)
+    robot = _robot(urdf, settings, up)
     return robot if len(robot.hull_discs) else replace(robot, hull_discs=resting_hull(robot))
 
 

@@ -101,6 +101,8 @@ class Urdf:
     joints: tuple[UrdfJoint, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
     """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
+    has_posture: bool = False
+    """True if these are a posture that the robot's maker wants it to rest in, arms included."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:

@@ -19,12 +19,11 @@ from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.plugins import names_from_data
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
+from h3data_pipelines.jobs.evaluations import episode_uid
 
 if TYPE_CHECKING:
     from h3data.metrics import Metric
     from h3data_pipelines.jobs.evaluations import Evaluation
-    from sim_kinematic.tasks.episode import Episode
-    from sim_kinematic.tasks.task import Task
 
 FORMAT = 1
 FOLDER = "benchmarks"
@@ -125,13 +124,6 @@ class Benchmark:
                 code="H3-OPTION-084",
             )
         return uids
-
-
-def episode_uid(task: Task, episode: Episode) -> str:
-    """Identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
-    from sim_kinematic.policies.assignment import AssignedPolicy
-
-    return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
 
 
 def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:

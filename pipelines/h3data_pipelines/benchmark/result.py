@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,10 @@ from h3data.errors import FormatError, InputError
 from h3data.metrics import Metric
 from h3data.plugins import own_version
 from h3data.terminal import aligned
-from h3data_pipelines.benchmark.definition import EPISODES, Benchmark, episode_uid
+from h3data_pipelines.benchmark.definition import Benchmark
 from h3data_pipelines.hub.checksums import checksums_of
 from h3data_pipelines.jobs.evaluation_runs import RECORDINGS, evaluate_task
+from h3data_pipelines.jobs.evaluations import check_identity
 from h3data_pipelines.jobs.result_files import RESULTS
 from h3data_pipelines.jobs.table_cells import cell_dict, cell_of
 
@@ -101,7 +102,7 @@ def run_benchmark(
         resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
 
     Raises:
-        InputError: there is no such policy, or the folder holds anything else.
+        InputError: there is no such policy, the folder holds anything else, or this version makes other episodes.
     """
     columns = benchmark.metrics()
     if (out / MANIFEST).is_file() and not force and (found := read_result(out)).benchmark != benchmark.label:
@@ -109,15 +110,10 @@ def run_benchmark(
             f"The folder holds a result of {found.benchmark}. Choose another -o, or --force: {out}",
             code="H3-OPTION-089",
         )
-    first = benchmark.jobs()[0].base
-    if episode_uid(first.found_task, first.episode()) != benchmark.episode_uids()[0]:
-        raise InputError(
-            f"This version of h3data makes other episodes than those of {benchmark.label}. Hint: run it with the version that "
-            f"the benchmark was made with, or run a newer version of the benchmark. Episodes: {benchmark.folder / EPISODES}",
-            code="H3-OPTION-090",
-        )
+    uids, first = tuple(benchmark.episode_uids()), benchmark.jobs()[0].base
+    check_identity(first.found_task, first.episode(), uids[0])  # the others as each begins: to make all takes minutes
     played = evaluate_task(
-        benchmark.request(tuple(policies)),
+        replace(benchmark.request(tuple(policies)), uids=uids),
         out,
         save_recordings=True,
         resume=resume,

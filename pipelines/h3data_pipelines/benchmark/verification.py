@@ -21,7 +21,7 @@ from h3data.errors import H3DataError, InputError
 from h3data.plugins import names_from_data
 from h3data.recording import Recording
 from h3data.terminal import counted
-from h3data_pipelines.benchmark.definition import Benchmark, episode_uid, find_benchmark
+from h3data_pipelines.benchmark.definition import Benchmark, find_benchmark
 from h3data_pipelines.benchmark.result import (
     MANIFEST,
     BenchmarkResult,
@@ -31,6 +31,7 @@ from h3data_pipelines.benchmark.result import (
 )
 from h3data_pipelines.hub.checksums import checksums_of
 from h3data_pipelines.jobs.evaluation_runs import RECORDINGS
+from h3data_pipelines.jobs.evaluations import episode_uid
 from h3data_pipelines.jobs.result_files import RESULTS, NoProgress
 
 if TYPE_CHECKING:

@@ -45,10 +45,7 @@ class ReplayCommand:
     added_time: bool = False
     """Simulate people of crowds once more without robots: by how many seconds do the robots make each of them later?"""
     policies: tuple[str, ...] = ()
-    """Policy of the robot, or of each robot in turn, as for h3data generate, or weights:FILE (default: the recording's own).
-    social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end,
-    end_to_end_paper, random or stand_still; rearrange: complement, greedy_nearest, same_object, still, learn_single,
-    plan_pop_3_robot, plan_pop_3_pixels or learn_pop."""
+    """Policy of the robot, or of each robot in turn (default: the recording's own). h3data generate TASK --help lists them."""
     partners: tuple[str, ...] = ()
     """rearrange: policy of the person, or of each person in turn, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

@@ -69,6 +69,8 @@ class EvaluationRequest:
     """Single fields of the task's rules, by name."""
     light: LightMode | None = None
     """Light in the colours that policies observe; None: that in which each was trained."""
+    uids: tuple[str, ...] = ()
+    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in their order; empty: any."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -117,7 +119,8 @@ class EvaluationRequest:
             for name in names:
                 resolve_policy(task, kind, name, choices.spec())
         base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
-        return [Evaluation(job, policies, partners) for job in base.jobs], base
+        uids = self.uids or (None,) * len(base.jobs)
+        return [Evaluation(job, policies, partners, uid=uid) for job, uid in zip(base.jobs, uids, strict=True)], base
 
     @property
     def seeds(self) -> dict[str, tuple[str, ...]]:

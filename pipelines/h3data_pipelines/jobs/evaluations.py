@@ -15,6 +15,8 @@ from h3data_pipelines.jobs.failed_episodes import reason_of
 
 if TYPE_CHECKING:
     from h3data.recording import Recording
+    from sim_kinematic.tasks.episode import Episode
+    from sim_kinematic.tasks.task import Task
 
 ALL = "all"
 
@@ -29,6 +31,8 @@ class Evaluation:
     """Policies of the partners; empty if people follow the task's default."""
     keep: bool = False
     """True if the recordings of all pairs are results too."""
+    uid: str | None = None
+    """Identity that the episode must have (`episode_uid`), if a benchmark fixes it."""
 
     def to_json(self) -> dict[str, Any]:
         """Return everything that determines the results, as plain values."""
@@ -53,6 +57,8 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
     kept: list[Recording] = []
     try:
         task, episode = job.base.found_task, job.base.episode()
+        if job.uid is not None:
+            check_identity(task, episode, job.uid)
     except Exception as fault:
         return failed_evaluation(job, fault), []
     for policy in job.policies:
@@ -107,6 +113,27 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
     named = {} if is_address(policy) else {"policy": policy}
     info = {**recording.episode.info, **named, **({"partners": list(partners)} if partners else {})}
     return replace(recording, episode=replace(recording.episode, info=info))
+
+
+def episode_uid(task: Task, episode: Episode) -> str:
+    """Identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
+    from sim_kinematic.policies.assignment import AssignedPolicy
+
+    return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
+
+
+def check_identity(task: Task, episode: Episode, uid: str) -> None:
+    """Compares an episode with the one of a benchmark's list.
+
+    Raises:
+        InputError: it is another one.
+    """
+    if episode_uid(task, episode) != uid:
+        raise InputError(
+            "This version of h3data makes another episode than that of the benchmark. Hint: run it with the version that the "
+            "benchmark was made with, or run a newer version of the benchmark.",
+            code="H3-JOB-052",
+        )
 
 
 def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
