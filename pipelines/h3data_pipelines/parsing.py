@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
+import io
+import itertools
 import re
 import shutil
 import sys
@@ -144,19 +147,23 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
     """
     about, _, examples = (inspect.getdoc(command) or "").partition("Examples:\n")
     tasks = known_tasks(command)
+    page = _Page()
     try:
-        tyro.cli(
-            _documented(command, task),
-            prog=f"{prog} {task}" if task in tasks else prog,
-            config=_CONFIG,
-            args=["--help"],
-            description=about,
-            registry=_registry,
-        )
+        with contextlib.redirect_stdout(page):
+            tyro.cli(
+                _documented(command, task),
+                prog=f"{prog} {task}" if task in tasks else prog,
+                config=_CONFIG,
+                args=["--help"],
+                description=_ABSENT,
+                registry=_registry,
+            )
     except SystemExit:
-        more = _COMMON_HELP
+        # tyro leaves its paragraphs to the terminal, which breaks lines within words
+        sys.stdout.write(page.getvalue().replace(_ABSENT, _wrapped(about)))
+        more = _wrapped(_COMMON_HELP)
         if tasks and task not in tasks:
-            more = f"Each task has more options: {', '.join(tasks)}. See: {prog} {tasks[0]} --help\n\n{more}"
+            more = _wrapped(f"Each task has more options: {', '.join(tasks)}. See: {prog} {tasks[0]} --help\n\n{_COMMON_HELP}")
         lines = examples.rstrip().splitlines()
         if task in tasks:
             lines = [line for line in lines if f"{prog} {task} " in f"{line} "]
@@ -247,6 +254,26 @@ def _refuse(prog: str, word: str, commands: Mapping[str, Any]) -> NoReturn:
 
 
 # --- help -------------------------------------------------------------------------------------------------------------
+class _Page(io.StringIO):
+    """Text in memory that has colours if the standard output has them."""
+
+    def isatty(self) -> bool:
+        return sys.__stdout__ is not None and sys.__stdout__.isatty()
+
+
+def _width() -> int:
+    return min(shutil.get_terminal_size().columns, 120)
+
+
+def _wrapped(text: str) -> str:
+    """Returns paragraphs with lines no wider than the terminal; indented lines, as of tables, stay as they are."""
+    lines: list[str] = []
+    for kept, group in itertools.groupby(text.strip().splitlines(), lambda line: not line or line[0].isspace()):
+        together = list(group)
+        lines += together if kept else textwrap.wrap(" ".join(together), _width(), break_on_hyphens=False)
+    return "\n".join(lines)
+
+
 def _leave(text: str) -> NoReturn:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
@@ -255,7 +282,7 @@ def _leave(text: str) -> NoReturn:
 
 def _overview(prog: str, about: str, commands: Mapping[str, type[Command] | Group]) -> str:
     """The first page of help: all commands with a line or two on each."""
-    width = min(shutil.get_terminal_size().columns, 120)
+    width = _width()
     longest = max(map(len, commands))
     indent = " " * (longest + 4)
     rows = [
@@ -265,7 +292,14 @@ def _overview(prog: str, about: str, commands: Mapping[str, type[Command] | Grou
     examples = [f"    {_first_example(c)}" for c in commands.values() if not isinstance(c, Group)][:4]
     more = f"Options and more examples: {prog} COMMAND --help. Every command prints one JSON object with --json."
     return "\n".join(
-        [f"usage: {prog} COMMAND ...", "", about, "", "commands:", *rows, "", "Examples:", *examples, "", more]
+        [
+            f"usage: {prog} COMMAND ...\n\n{_wrapped(about)}\n\ncommands:",
+            *rows,
+            "\nExamples:",
+            *examples,
+            "",
+            _wrapped(more),
+        ]
     )
 
 

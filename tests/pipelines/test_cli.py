@@ -61,6 +61,19 @@ def test_help_has_examples(command: str, capsys: pytest.CaptureFixture[str]) -> 
     assert "--json" in out
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_breaks_no_word_on_a_terminal(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    paragraphs, _, _ = capsys.readouterr().out.partition("Examples:")
+    # indented: tables, which may be wider
+    wide = [line for line in paragraphs.splitlines() if len(line) > 80 and not line.startswith((" ", "usage"))]
+    assert not wide
+
+
 def test_demo_says_first_what_it_has_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import av
     import cv2

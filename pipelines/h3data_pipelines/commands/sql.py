@@ -67,7 +67,7 @@ class Sql:
                    Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
         episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...
         events     episode_index, step, agent, kind, target, detail. Likewise skills, agents, bodies, inputs.
-    all        each has a column dataset (its path as you typed it), so that several datasets can be compared.
+        all        each has a column dataset (its path as you typed it), so that several datasets can be compared.
 
     Examples:
         h3data sql "select policy, avg(dist_agents) from steps join episodes using (dataset, episode_index) group by 1" a/ b/

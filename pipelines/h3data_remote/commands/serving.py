@@ -18,7 +18,7 @@ class Serve:
     """Serve a policy over a websocket, in the protocol of openpi.
 
     Planners are shown the whole state, which only h3data sends; trained policies and those with --adapter are shown named
-    observations, which any client may send. Without end until Ctrl-C. Needs the extra remote.
+    observations, which any client may send. Ctrl-C stops the server. Needs the extra remote.
 
     Examples:
         h3data serve --policy rollout_expert

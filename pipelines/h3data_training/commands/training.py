@@ -60,9 +60,9 @@ WORLDS = TaskNotes(lambda task: TRAINERS.get(task).worlds)
 class Train:
     """Train a policy and write its weights: social_nav from images, rearrange with a population of partners, or a skill.
 
-    The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
-    too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of rearrange also partner_0.npz, ...,
-    where partners learn. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
+    Every command takes the weights as a policy: --policy weights:out/nav/policy.npz. The folder gets policy.npz, curve.parquet
+    (the learning curve; tensorboard/ too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of
+    rearrange also partner_0.npz, ..., where partners learn. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
 
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav

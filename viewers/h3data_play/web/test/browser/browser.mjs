@@ -15,7 +15,9 @@ export async function openPage(url, { width = 1280, height = 720, headset = fals
   const context = await browser.newContext({ viewport: { width, height }, hasTouch: touch });
   const page = await context.newPage();
   const faults = [];
-  page.on("console", (message) => message.type() === "error" && faults.push(message.text()));
+  // a busy server answers 503, and the page asks again; Chromium prints an error for either
+  const asksAgain = (message) => message.text().includes("status of 503");
+  page.on("console", (message) => message.type() === "error" && !asksAgain(message) && faults.push(message.text()));
   page.on("pageerror", (error) => faults.push(error.message));
   if (headset) {
     await page.addInitScript({ path: emulator });
