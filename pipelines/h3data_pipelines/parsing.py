@@ -163,7 +163,9 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
         sys.stdout.write(page.getvalue().replace(_ABSENT, _wrapped(about)))
         more = _wrapped(_COMMON_HELP)
         if tasks and task not in tasks:
-            more = _wrapped(f"Each task has more options: {', '.join(tasks)}. See: {prog} {tasks[0]} --help\n\n{_COMMON_HELP}")
+            more = _wrapped(
+                f"Each task has more options: {', '.join(tasks)}. See: {prog} {tasks[0]} --help\n\n{_COMMON_HELP}"
+            )
         lines = examples.rstrip().splitlines()
         if task in tasks:
             lines = [line for line in lines if f"{prog} {task} " in f"{line} "]

@@ -159,7 +159,7 @@ class Sitting:
         quats[:, _ARMS] = arms.reshape(TABLE, -1, 4)
         skin = body.skin(body.joint_matrices(roots, quats, pelvis))
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
-        above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
+        above = (skin[..., 0] < self.edge_m - 2 * 0.012) | (share >= TUCKED)[:, None]
         above &= ~np.isin(owner, _THIGHS)
         pelvis[:, 1] += self.seat_m - SINK_M - np.where(above, skin[..., 1], np.inf).min(1)
         return quats, pelvis
