@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,8 +85,8 @@ class PersonActor:
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
-    is_robot: ClassVar[bool] = False
-    footprint: ClassVar[Footprint] = AVOIDANCE.person
+    is_robot = False
+    footprint = AVOIDANCE.person
     """Space that other agents leave for a person."""
 
     def __post_init__(self) -> None:
