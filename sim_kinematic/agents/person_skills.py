@@ -24,7 +24,7 @@ from sim_kinematic.agents.person_clearance import BodyClearance
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
-from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, crowds, in_the_way, path_around, shut_off, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
