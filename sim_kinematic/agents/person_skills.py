@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from sim_kinematic.agents.person_clearance import BodyClearance
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
-from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, crowds, in_the_way, path_around, shut_off, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
@@ -81,8 +81,8 @@ class PersonActor:
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
-    is_robot: ClassVar[bool] = False
-    footprint: ClassVar[Footprint] = AVOIDANCE.person
+    is_robot = False
+    footprint = AVOIDANCE.person
     """Space that other agents leave for a person."""
 
     def __post_init__(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +72,7 @@ class RobotDriver:
     """Last command of the base, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
-    is_robot: ClassVar[bool] = True
+    is_robot = True
 
     def __post_init__(self) -> None:
         self._arm = np.array(self.robot.arm_columns, np.intp)
