@@ -188,5 +188,4 @@ def _with_alpha(
 
 
 def _reason(fault: Exception) -> str:
-    text = f"{type(fault).__name__}: {fault}".splitlines()[0]
-    return text[:200]
+    return f"{type(fault).__name__}: {fault}".splitlines()[0][:200]

@@ -113,8 +113,7 @@ class Camera:
     # --- points and rays ----------------------------------------------------------------------------------------------
     def to_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """World points [N, 3] in the camera's frame, shape [N, 3] [m]."""
-        p = np.asarray(points, np.float64).reshape(-1, 3)
-        return (p - self.pose[:3, 3]) @ self.pose[:3, :3]
+        return (np.asarray(points, np.float64).reshape(-1, 3) - self.pose[:3, 3]) @ self.pose[:3, :3]
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixel coordinates [N, 2] and depth [N] [m] of world points [N, 3].

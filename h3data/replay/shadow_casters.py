@@ -84,9 +84,8 @@ def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.fl
     if not np.isfinite(size).all() or size.max() <= 0:
         return np.full(7, np.nan)
     axis = int(size.argmax())
-    others = np.delete(size, axis)
     # the circle with the area of the cross-section; a sheet keeps half a centimetre
-    radius = max(float(np.sqrt(others.prod() / np.pi)), 0.005)
+    radius = max(float(np.sqrt(np.delete(size, axis).prod() / np.pi)), 0.005)
     half = np.zeros(3)
     half[axis] = max(size[axis] / 2 - radius, 0)
     return np.concatenate([middle - half, middle + half, [radius]])

@@ -35,8 +35,7 @@ def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) ->
     half = z / (1 + spread) * np.sqrt(p * (1 - p) / trials + spread / (4 * trials))
     # At the ends the two terms cancel except for rounding, which would leave -1e-17 for 0.
     low = 0.0 if successes == 0 else float(middle - half)
-    high = 1.0 if successes == trials else float(middle + half)
-    return low, high
+    return low, (1.0 if successes == trials else float(middle + half))
 
 
 def bootstrap_interval(

@@ -107,8 +107,7 @@ class WaypointHuman:
 
     def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         # by the number of the goal, so that the walk goes on the same wherever it is resumed
-        rng = generator(self.seed, "human_goal", step=self.goal)
-        candidates = self.free.sample(rng, 32)
+        candidates = self.free.sample(generator(self.seed, "human_goal", step=self.goal), 32)
         lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
         walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= WAYPOINTS.min_walk_m))
         # a home with nothing that far away: the farthest point there is

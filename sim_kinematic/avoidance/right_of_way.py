@@ -221,8 +221,7 @@ class RightOfWay:
             return False
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
             return True
-        moves = len(self.path(other)) > 0
-        ahead_m = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
+        ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
         # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
         path = np.ascontiguousarray(self.path(me), np.float64)
         return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
@@ -371,8 +370,7 @@ class RightOfWay:
 
     def _go_farther(self, me: Walker, other: Walker, request: _Request) -> None:
         """Leads an agent on from a refuge near which the other, who is driven from outside, has come, if there is another."""
-        end = request.route[-1] if len(request.route) else me.xz
-        apart = math.dist(end, other.xz)
+        apart = math.dist(request.route[-1] if len(request.route) else me.xz, other.xz)
         if math.isfinite(request.stays_steps) or apart > AVOIDANCE.stand_off_m:
             return
         route = self._refuge(me, other)

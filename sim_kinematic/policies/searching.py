@@ -121,8 +121,7 @@ class Seeking:
     def act(self, view: RearrangeView) -> Action:
         """Return the planner's action, or the next of the search."""
         # the result of an action of the search would tell the planner that its own action had ended
-        own = view._replace(last=None) if self._searches else view
-        choice = self.policy.act(own)
+        choice = self.policy.act(view._replace(last=None) if self._searches else view)
         left = [k for k in range(len(view.objects)) if not view.is_known(k) and view.held_by[k] == NOBODY]
         self._searches, self._known = choice.skill == "wait" and bool(left), len(view.objects) - len(left)
         return self.search.act(view) if self._searches else choice

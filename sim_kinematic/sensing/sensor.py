@@ -298,8 +298,7 @@ def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
     used = np.asarray(used, np.bool_)
     begun = np.logical_or.accumulate(used, axis=-1)
     later = np.logical_or.accumulate(used[..., ::-1], axis=-1)[..., ::-1]
-    after = np.concatenate([later[..., 1:], np.zeros_like(later[..., :1])], axis=-1)
-    return begun & after
+    return begun & np.concatenate([later[..., 1:], np.zeros_like(later[..., :1])], axis=-1)
 
 
 def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:

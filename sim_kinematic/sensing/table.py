@@ -285,8 +285,7 @@ def _ways(end: Literal["objects", "goals"], *, other: bool = False) -> Sensor:
 
 def _path_ahead(*, other: bool) -> Sensor:
     def seen(m: Context) -> Any:
-        points = m.ahead(other=other)
-        return _polar_of(m, points.reshape((*m.now.heading.shape, -1, 2)))
+        return _polar_of(m, m.ahead(other=other).reshape((*m.now.heading.shape, -1, 2)))
 
     # one unit of the sensor has a distance and an angle for each of the points
     unit: Any = {name: side * len(AHEAD_M) for name, side in _POLAR.items() if name != "frame"}

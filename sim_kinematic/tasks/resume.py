@@ -275,8 +275,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
     # the uid comes from it: the same change to the same recording gives the same one
-    label = ":".join([what, str(step), *names])
-    header = header_from(recording, label)
+    header = header_from(recording, ":".join([what, str(step), *names]))
     return finished(header, played.columns, info, played.skills, played.events, played.inputs)
 
 
@@ -343,8 +342,7 @@ class _Played:
             for span in recording.skills
             if span.agent in people and span.start_step < rows
         ]
-        robots = [span for span in self.skills if span.agent not in people]
-        self.skills = (*robots, *cut)
+        self.skills = (*(span for span in self.skills if span.agent not in people), *cut)
         if task.control.has_skills:  # skills that have a result are recorded when they end
             self.skills = tuple(sorted(self.skills, key=lambda span: span.end_step))
         else:

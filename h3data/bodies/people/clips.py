@@ -313,5 +313,4 @@ def _nearest_speed(clip_speeds: tuple[float, ...], speed: float) -> int:
     if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
         return int(np.argmin(speeds))
     # a standing clip, at speed 0, is very far away in ratio
-    ratio = np.abs(np.log(np.where(speeds > 0, speeds, 1e-9) / speed))
-    return int(np.argmin(ratio))
+    return int(np.argmin(np.abs(np.log(np.where(speeds > 0, speeds, 1e-9) / speed))))

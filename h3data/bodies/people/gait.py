@@ -146,8 +146,7 @@ def gait_posture(
     yaw = -style.yaw * scale * np.cos(wave)
     listing = style.list * scale * np.sin(wave + 0.35)
     pelvis_turn = rotation(Y, yaw) @ rotation(Z, listing) @ rotation(X, np.full(len(phase), style.lean))
-    mean_turn = rotation(X, style.lean)
-    height = legs.length + legs.ankle_height - (mean_turn @ legs.hips[0])[1] + p["height"]
+    height = legs.length + legs.ankle_height - (rotation(X, style.lean) @ legs.hips[0])[1] + p["height"]
     # twice a cycle, once for each leg; the higher harmonic lets the fit shape that dip
     height = height + p["cos2"] * np.cos(2 * wave) + p["sin2"] * np.sin(2 * wave)
     height = height + p["cos4"] * np.cos(4 * wave) + p["sin4"] * np.sin(4 * wave)

@@ -226,8 +226,7 @@ class Humanoid:
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
         """`skin` for long recordings: frames [t] of [T, 55, 4, 4] and their vertices [t, V, 3], some at a time."""
-        part = self.lod if lod else self.full
-        return skin_chunks(part.skin.points, joint_matrices @ self.inverse_bind)
+        return skin_chunks((self.lod if lod else self.full).skin.points, joint_matrices @ self.inverse_bind)
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """World shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""

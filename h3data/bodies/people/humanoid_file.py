@@ -64,8 +64,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
     body, outfit = split_outfit(str(name))
     if is_random(body):
         # handed over, because this module imports that one
-        planes = to_planes, from_planes
-        return _humanoid(random_arrays(body, _builtin_arrays, planes), outfit)
+        return _humanoid(random_arrays(body, _builtin_arrays, (to_planes, from_planes)), outfit)
     if body.endswith(".npz"):
         path = Path(body)
     elif body in humanoid_names():

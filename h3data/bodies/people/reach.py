@@ -304,8 +304,7 @@ class ReachSolver:
         # 0.02: share of the path inside the valid volume by which advice keeps away from its border
         inner = np.maximum(low - 0.02, 0) * (ends - starts) + starts
         # valid points need not be convex: one a little further inside may be invalid again
-        fine = self.reachable(inner)[:, None]
-        return np.where(fine, inner, starts)
+        return np.where(self.reachable(inner)[:, None], inner, starts)
 
 
 def _each(share: ArrayLike, count: int) -> Array:
@@ -373,5 +372,4 @@ def _hanging_pole(body: Humanoid, frames: Array, hand: Hand, sign: float) -> Arr
     palm = wrist[:3, :3] @ grasp_point(body, hand) + wrist[:3, 3]
     along = (palm - shoulder[:3, 3]) / np.linalg.norm(palm - shoulder[:3, 3])
     axis = shoulder[:3, 1] - (shoulder[:3, 1] @ along) * along
-    pole = -sign * np.cross(along, axis / np.linalg.norm(axis))
-    return frames[JOINT_INDEX["spine3"], :3, :3].T @ pole
+    return frames[JOINT_INDEX["spine3"], :3, :3].T @ (-sign * np.cross(along, axis / np.linalg.norm(axis)))

@@ -47,8 +47,7 @@ def _bones(body: Humanoid) -> tuple[RigidPart, ...]:
     for end, (parent, offset) in enumerate(zip(PARENTS, body.joint_offsets, strict=True)):
         length = float(np.linalg.norm(offset))
         if parent >= 0 and length > SHORTEST_BONE_M:
-            radius = min(BONE_RADIUS_M, length / 4)
-            mesh = capsule_mesh(np.zeros(3), offset, radius, color=BONE_COLOR)
+            mesh = capsule_mesh(np.zeros(3), offset, min(BONE_RADIUS_M, length / 4), color=BONE_COLOR)
             parts.append(RigidPart(f"to_{JOINT_NAMES[end]}", parent, mesh))
     low, high = SKULL_M[:, None] * np.array([[0.0, 1.0, 0.25]]) * body.height_m / 1.7
     skull = capsule_mesh(low, high, SKULL_RADIUS_M * body.height_m / 1.7, color=BONE_COLOR)

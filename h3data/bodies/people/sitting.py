@@ -94,8 +94,7 @@ class Sitting:
         ``share`` [T] leads from standing (0) to sitting (1).
         """
         share = np.atleast_1d(np.asarray(share, np.float64))
-        legs = self.body.gaits.legs
-        stand = stand_posture(legs, len(share))
+        stand = stand_posture(self.body.gaits.legs, len(share))
         quats, pelvis = self.seated
         weight = np.repeat(share, quats.shape[0])
         mixed = quat_nlerp(stand.quats.reshape(-1, 4), np.tile(quats, (len(share), 1)), weight)
@@ -252,8 +251,7 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     for _ in range(5):
         drop = pelvis[1] + hips[1] - knee_y
         # the hip joints are further apart than the feet, so the thighs go a little inwards
-        aside = abs(hips[0]) - abs(ankle[0])
-        flat = legs.thigh**2 - drop**2 - aside**2
+        flat = legs.thigh**2 - drop**2 - (abs(hips[0]) - abs(ankle[0])) ** 2
         # 0.75: greatest slope of the thighs, as the share of their length by which hips and knees differ in
         # height
         if not (np.isfinite(drop) and abs(drop) <= 0.75 * legs.thigh):

@@ -41,5 +41,4 @@ def row_of_discs(back: float, front: float, radius: float) -> Array:
 
 def row_radius(places: Array, points: Array) -> float:
     """Returns the least radius [m] of discs at places [D] along x that cover floor points ``(x, z)`` [N, 2]."""
-    gaps = np.hypot(points[:, None, 0] - places, points[:, None, 1])
-    return float(gaps.min(1).max())
+    return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

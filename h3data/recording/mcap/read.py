@@ -59,8 +59,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
         )
     log.attachments |= shared_files(log.metadata.get(RECORD, {}), path)
     try:
-        steps = int(log.metadata["h3.end"]["steps"])
-        return assemble(log, path, steps=steps, wanted=columns)
+        return assemble(log, path, steps=int(log.metadata["h3.end"]["steps"]), wanted=columns)
     except FormatError as error:
         raise FormatError(f"{error} File: {path}", code=error.code) from error
     except (KeyError, *decoding_errors()) as error:

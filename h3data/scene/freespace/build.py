@@ -287,8 +287,7 @@ def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: 
         order = np.argsort(component, kind="stable")
         middle = np.array([np.median(h) for h in np.split(heights[order], np.cumsum(sizes)[:-1])])
         # the lowest of those with a quarter of the largest one, which may be the roof
-        large = np.flatnonzero(sizes >= 0.25 * sizes.max())
-        return float(middle[large].min())
+        return float(middle[np.flatnonzero(sizes >= 0.25 * sizes.max())].min())
     chosen = int(component[np.argmin(np.abs(heights - floor_y))])
     return float(np.median(heights[component == chosen]))
 

@@ -315,8 +315,7 @@ class DrivenPerson(PersonActor):
 
     def _upright(self, k: int, point: NDArray) -> Array:
         """pose7 of what is held, put down at a point as it stood when it was taken."""
-        held = self.person.held[self._hands(k)[0]]
-        return np.concatenate([point, self.person.upright(held)])
+        return np.concatenate([point, self.person.upright(self.person.held[self._hands(k)[0]])])
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:

@@ -153,8 +153,7 @@ class ArticulatedParts:
         end = joint.opened if opens else joint.closed
         speed = OPENING.swing_rad_s if joint.kind == "revolute" else OPENING.slide_mps
         steps = max(OPENING.steps_least, int(np.ceil(abs(end - start) / (speed * STEP_S))))
-        u = np.arange(1, steps + 1) / steps
-        way = start + smoothstep(u) * (end - start)
+        way = start + smoothstep(np.arange(1, steps + 1) / steps) * (end - start)
         # to the bit: a start plus a difference may miss it by rounding
         way[-1] = end
         return way

@@ -388,8 +388,7 @@ class RobotDriver:
             target = self._target if self.base.maneuvers else None
             self._target = keep_clear(self.free, self.base, self.xz, self.heading, self.command, aim, others, target)
             # what keeps it clear of somebody is done at once: eased, it came 12 cm nearer to a person than it wanted
-            in_nobodys_way = self._target == self.command
-            eases = eases and in_nobodys_way and self.base.maneuvers
+            eases = eases and self._target == self.command and self.base.maneuvers
             self.command = eased(self.base, self._target, before) if eases else self._target
         state = self.state
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()

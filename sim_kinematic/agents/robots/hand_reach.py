@@ -95,8 +95,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
     chain = [robot.hand_link]
     while robot.links[chain[-1]].parent >= 0:
         chain.append(robot.links[chain[-1]].parent)
-    moving = [link for link in chain if robot.kinds[link] != FIXED]
-    shoulder = moving[-1]
+    shoulder = [link for link in chain if robot.kinds[link] != FIXED][-1]
     wrist, length = -np.asarray(robot.hand_position, np.float64), HAND_REACH.reach_slack_m
     for link in chain[: chain.index(shoulder) + 1]:
         origin = robot.origins[link]

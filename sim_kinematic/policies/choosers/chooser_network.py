@@ -181,8 +181,7 @@ class SkillPolicyNetwork(CardedNetwork):
         if self.sees:
             about = (*about, card.picture_size)
         # digests of files from before cards had these entries stay
-        if card.temperature != 1.0:
-            about = (*about, card.temperature)
+        about += () if card.temperature == 1.0 else (card.temperature,)
         return self._digest(about if card.primitives else (*about, "without primitives"))
 
     @cached_property

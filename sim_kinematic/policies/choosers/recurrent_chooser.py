@@ -83,8 +83,7 @@ class RecurrentSkillPolicy:
         # several choices may be made in one step, and each needs random numbers of its own
         self._times = self._times + 1 if view.step == self._thought else 0
         self._remember(view)
-        own = self._placed if self.network.sees else None
-        may = allowed(view, self.choices, placed=own) & self.network.offered
+        may = allowed(view, self.choices, placed=self._placed if self.network.sees else None) & self.network.offered
         self.shown = shown
         number = self.choose(view, each, rest, np.where(may, scores, -np.inf))
         self.state, self._thought = state, view.step
@@ -92,10 +91,9 @@ class RecurrentSkillPolicy:
 
     def _remember(self, view: RearrangeView) -> None:
         """Take in what the action that has just ended did with its object."""
-        if view.last is not None and view.last.outcome == "done" and view.action is not None:
-            skill, target, *_ = view.action
-            if skill in ("pick", "place"):
-                self._placed[target] = skill == "place"
+        done = view.last is not None and view.last.outcome == "done"
+        if done and view.action is not None and view.action.skill in ("pick", "place"):
+            self._placed[view.action.target] = view.action.skill == "place"
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
