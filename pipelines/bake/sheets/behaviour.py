@@ -47,7 +47,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How the robot and the person of a recording move; arrays have a row for each agent, robot first."""
+    """Movements of the robot and the person of a recording; arrays have a row for each agent, robot first."""
 
     places: Track
     """[2, T, 2] [m]."""
