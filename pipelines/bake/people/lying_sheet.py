@@ -46,7 +46,7 @@ def main(out: str) -> None:
     lying = [sitting_on(body := load_humanoid(name), round(0.26 * body.height_m, 2)) for name in humanoid_names()]
     for k in range(0, len(lying), 6):
         row = lying[k : k + 6]
-        poses = [(sitting.body, *(part[-1:] for part in sitting.lying)) for sitting in row]
+        poses = [(sitting.body, sitting.lying[0][-1:], sitting.lying[1][-1:]) for sitting in row]
         props = [bed(sitting, along=True) for sitting in row]
         rows.append(lined_up(poses, HEADING, False, 6, WIDTH, spacing=SPACING_M, row_m=1.0, props=props))
     write_jpg(out, np.vstack(rows))
