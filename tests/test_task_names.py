@@ -24,6 +24,7 @@ OTHER_WORDS = {
         "sim_kinematic/tasks/control.py",
         "sim_kinematic/tasks/task.py",
     },
+    "rearrange": {"viewers/h3data_studies/design.py"},  # the app of this name; a study's server imports no task
     "language": {  # that of a participant, and the command
         "pipelines/h3data_pipelines/commands/table.py",
         "viewers/h3data_studies/commands/handing_out.py",

@@ -16,6 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 
+_BLOCK, _WORTH_THREADS = 250_000, 64
+"""Random indices that are drawn together, 2 MB, which stay in a core's cache; blocks of all columns from which on other cores
+help, 50 ms of work."""
+
 
 def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
     """Returns the Wilson score interval of a proportion, without continuity correction; NaN without trials.
@@ -74,11 +78,9 @@ def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, see
         # np.take(mode="clip") is three times as fast as columns[column][rows], and lets other threads run.
         means[column, start : start + len(rows)] = np.take(columns[column], rows, mode="clip").mean(axis=1)
 
-    # 250_000: random indices that are drawn together: 2 MB, which stay in a core's cache
-    per_block = max(1, 250_000 // count)
+    per_block = max(1, _BLOCK // count)
     blocks = [(start, min(per_block, resamples - start)) for start in range(0, resamples, per_block)]
-    # 64: blocks of all columns from which on other cores help: 50 ms of work
-    if len(blocks) * len(columns) < 64:
+    if len(blocks) * len(columns) < _WORTH_THREADS:
         for start, size in blocks:
             rows = random.integers(0, count, (size, count))
             for column in range(len(columns)):

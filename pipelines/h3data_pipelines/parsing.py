@@ -292,7 +292,7 @@ def _overview(prog: str, about: str, commands: Mapping[str, type[Command] | Grou
         for name, c in commands.items()
     ]
     examples = [f"    {_first_example(c)}" for c in commands.values() if not isinstance(c, Group)][:4]
-    more = f"Options and more examples: {prog} COMMAND --help. Every command prints one JSON object with --json."
+    more = f"Options, examples: {prog} COMMAND --help. With --json: one JSON object."
     return "\n".join(
         [
             f"usage: {prog} COMMAND ...\n\n{_wrapped(about)}\n\ncommands:",

@@ -116,8 +116,10 @@ class Crowd:
         self._free, self._seed, self._version = free, seed, version
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
-        # with the shorter horizons of version 3, people block the way of walking groups
-        constants = CrowdSpec.of_version(min(version, 2) if any(role.group for role in roles or ()) else version)
+        # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
+        constants = CrowdSpec.of_version(
+            min(version, 2) if any(role.group or role.reaction != "regular" for role in roles or ()) else version
+        )
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))

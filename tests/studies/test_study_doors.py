@@ -445,7 +445,8 @@ def test_who_plays_is_not_idle(tmp_path: Path) -> None:
         await study.joined(PID)
         game = study.front.journal.begin_episode(study.front.journal.participants[1], "game")
         connection = SimpleNamespace(heard=0.0)
-        study.front.lives["game"] = SimpleNamespace(game=game, sockets={"sid": connection})  # type: ignore[assignment]
+        (sid,) = study.front.journal.seats
+        study.front.lives["game"] = SimpleNamespace(game=game, sockets={sid: connection})  # type: ignore[assignment]
         for _ in range(30):
             study.serve(minutes=1)
             connection.heard = study.clock.now

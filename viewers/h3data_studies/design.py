@@ -9,7 +9,6 @@ import msgspec
 from msgspec import Meta
 
 from h3data_play.plan import PlayPlan
-from sim_kinematic.tasks.rearrange.task import Rearrange
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 Text = str | dict[str, str]
@@ -27,7 +26,7 @@ class Condition(Record, frozen=True):
     """Condition of one block of episodes."""
 
     name: Name
-    app: str = Rearrange.name
+    app: str = "rearrange"
     play_as: Role | Annotated[list[Role], Meta(min_length=1, max_length=2)] = "person"
     """Role of a participant; a list of two: two participants play together, in one home."""
     partner: str | None = None

@@ -17,7 +17,7 @@ from h3data.commands.options import options_of
 
 @dataclass(frozen=True)
 class Completion:
-    """Print the script that completes h3data's commands and options with the Tab key.
+    """Print the script that completes commands and options with Tab.
 
     Examples:
         h3data completion bash > ~/.local/share/bash-completion/completions/h3data

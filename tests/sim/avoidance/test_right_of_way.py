@@ -336,7 +336,7 @@ def test_who_steps_aside_walks_while_they_turn() -> None:
     actor.aside = np.array([[3.0, 1.0], [1.6, 1.9]])
     steps = []
     while len(actor.aside):
-        before = actor.xz
+        before = actor.xz.copy()  # a view, which moves with the person
         actor.idle()
         steps.append(float(np.hypot(*(actor.xz - before))))
         if float(np.hypot(*(actor.aside[0] - actor.xz))) < 0.01:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import h3data
 from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat, wrap_angle
-from h3data.metrics.paper.protocol import protocol_deviations
+from h3data.metrics.paper.protocol import SOCIAL_NAV_PROTOCOL, protocol_deviations
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
@@ -262,7 +262,7 @@ def test_episodes_with_strides_verify(task: str) -> None:
 
 def test_the_speed_of_strides_can_be_chosen_and_metrics_say_that_they_are_not_the_papers() -> None:
     recording = h3data.simulate("social_nav", "small:1", rules="natural", human_speed=0.8, max_steps=300)
-    told = protocol_deviations(recording)
+    told = protocol_deviations(recording, SOCIAL_NAV_PROTOCOL)
     assert "human.speed_mps 0.8 (paper 2.5)" in told
     assert "people walk curves" in told
     assert 0.75 < person_of(recording)[0].max() <= 0.8 + 1e-4

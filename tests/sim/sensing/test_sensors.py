@@ -219,7 +219,6 @@ def test_the_name_of_a_sensor_is_written_where_it_is_defined_and_where_users_typ
     files = [f for package in packages for f in package.rglob("*.py") if '"humanoid_gps"' in f.read_text()]
     assert {f.relative_to(ROOT).as_posix() for f in files} == {
         "sim_kinematic/sensing/table.py",
-        "pipelines/h3data_training/commands/training.py",
     }
 
 
