@@ -144,7 +144,7 @@ def own_entries(group: str) -> dict[str, str]:
 
     Their modules need not be installed.
     """
-    return dict(sorted(_own_groups().get(group, {}).items()))
+    return dict(_own_groups().get(group, {}))
 
 
 @cache
