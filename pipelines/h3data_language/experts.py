@@ -16,16 +16,15 @@ import msgspec
 import numpy as np
 
 from h3data.geometry import add_up
-from h3data.policies import Action, Message, RearrangeView
+from h3data.policies import Action, RearrangeView
 from h3data_language.episode import DETOUR, Errand
 from h3data_language.evaluation.records import STATES, Evaluation
-from h3data_language.talk import Intent, say
+from h3data_language.talk import Intent, Speaker, say
 from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
 from sim_kinematic.policies.searching import Search, is_search
-from sim_kinematic.sensing.sight import surface_names
 
 EXPERTS = ("language_expert", "language_greedy", "language_talk", "language_still")
 HANDLING_M = 1.4
@@ -296,34 +295,22 @@ class Expert:
         return min(free, key=lambda n: self.plan.length(view, view.xz, n)[0], default=-1)
 
 
-class Talker(Expert):
+class Talker(Speaker, Expert):
     """Agent with a plan of its own, which says what it takes, leaves, has handled and sees, and hears the same of others."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str]) -> None:
-        super().__init__(episode, number, kinds, greedy=False)
+        Speaker.__init__(self, episode)
+        Expert.__init__(self, episode, number, kinds, greedy=False)
         self.begun = True  # the plan is not shared
-        self._names = [target.name for target in episode.targets]
-        self._surfaces = surface_names(episode.scene)
-        self._heard, self._taken = 0, -1
         self._finished: set[int] = set()
         """Errands of which somebody has said that they are done."""
-        self._known: set[int] | None = None
-        self._say: list[Message] = []
-        self._next: Action | None = None
-        """Choice that follows the messages."""
+        self._known: set[int] = set()
 
-    def act(self, view: RearrangeView) -> Action:
-        """The next message, or the next skill as of the other experts."""
-        if not self._say and self._next is None:
-            # a search that has ended was not at the place of which somebody has told
-            hinted = self._listen(view) and self.number not in self.plan.doing
-            self._next = super().act(view._replace(last=None) if hinted else view)
-            self._tell(view)
-        if self._say:
-            return self._say.pop(0).action
-        action, self._next = self._next, None
-        assert action is not None
-        return action
+    def _choose(self, view: RearrangeView) -> Action:
+        """The next skill as of the other experts."""
+        # a search that has ended was not at the place of which somebody has told
+        hinted = self._listen(view) and self.number not in self.plan.doing
+        return Expert.act(self, view._replace(last=None) if hinted else view)
 
     def _tell(self, view: RearrangeView) -> None:
         """Makes the messages about everything that has changed since the last ones."""
@@ -338,11 +325,7 @@ class Talker(Expert):
             self._say.append(say(kind, self._names[plan.errands[n].thing]))
             self._finished.add(n)
         if view.places is not None:
-            known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
-            for k in sorted(known - (self._known or set())):
-                nearest = int(np.argmin(np.linalg.norm(view.places.points - view.objects[k], axis=1)))
-                self._say.append(say("is_in", self._names[k], self._surfaces[nearest]))
-            self._known = known
+            self._known = self._tell_places(view, self._known)
 
     def _listen(self, view: RearrangeView) -> bool:
         """Take in messages of others since the last time; return whether one says where something is that is not known."""

@@ -8,14 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from h3data.policies import Action, Message, RearrangeView
-from h3data_language.talk import Intent, say
-from sim_kinematic.motion.state import NOBODY
+from h3data.policies import Action, RearrangeView
+from h3data_language.talk import Intent, Speaker, say
 from sim_kinematic.policies.rearrange import Chooser, robot_policy
 from sim_kinematic.policies.searching import Search, Seeking
-from sim_kinematic.sensing.sight import surface_names
 
 LATE = 600
 """Steps after which an object that somebody has said to take, and has not taken, is free for others."""
@@ -34,43 +30,32 @@ def nearest_talk(task: Any, episode: Any, number: int) -> Any:
     return Teller(episode, number)
 
 
-class Teller:
+class Teller(Speaker):
     """Planner of the nearest object that nobody else has said to take."""
 
     def __init__(self, episode: Any, number: int) -> None:
+        super().__init__(episode)
         nearest: Any = robot_policy("greedy_nearest")
         self._nearest, self._chooser = nearest.prefer, Chooser(self._prefer)
         self.number = number
         self._seeking = Seeking(self._chooser) if episode.spec.observe == "seen" else None
         self.policy: Any = self._seeking or self._chooser
-        self._names = [target.name for target in episode.targets]
-        self._surfaces = surface_names(episode.scene)
         self._claims: dict[int, tuple[int, int]] = {}
         """For each object the agent that has said to take it, and when."""
-        self._heard, self._taken, self._known = 0, -1, set[int]()
+        self._known: set[int] = set()
         self._hinted = False
         """True if somebody has said where an object is that is not known, and the planner has not chosen since."""
-        self._say: list[Message] = []
-        self._next: Action | None = None
-        """Choice that follows the messages."""
 
     @property
     def interrupts_every(self) -> int:
         """Number of steps after which `interrupts` is asked again."""
         return getattr(self.policy, "interrupts_every", 1)
 
-    def act(self, view: RearrangeView) -> Action:
-        """Return the next message, or the next skill."""
-        if not self._say and self._next is None:
-            self._listen(view)
-            # a search that has ended was not at the place of which somebody has told
-            self._next = self.policy.act(view._replace(last=None) if self._hinted else view)
-            self._hinted = False
-            self._tell(view)
-        if self._say:
-            return self._say.pop(0).action
-        action, self._next = self._next, None
-        assert action is not None
+    def _choose(self, view: RearrangeView) -> Action:
+        self._listen(view)
+        # a search that has ended was not at the place of which somebody has told
+        action = self.policy.act(view._replace(last=None) if self._hinted else view)
+        self._hinted = False
         return action
 
     def interrupts(self, view: RearrangeView) -> str:
@@ -96,11 +81,7 @@ class Teller:
                 self._say.append(say("i_leave", self._names[self._taken]))
             self._taken = now
         if view.places is not None:
-            known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
-            for k in sorted(known - self._known):
-                nearest = int(np.argmin(np.linalg.norm(view.places.points - view.objects[k], axis=1)))
-                self._say.append(say("is_in", self._names[k], self._surfaces[nearest]))
-            self._known |= known
+            self._known |= self._tell_places(view, self._known)
 
     def _listen(self, view: RearrangeView) -> None:
         """Takes in the messages of others since the last time."""

@@ -5,10 +5,15 @@ A message is text (`h3data.policies.Message`). One of these texts has a meaning 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from h3data.errors import InputError, suggest
-from h3data.policies import Message
+from h3data.policies import Action, Message, RearrangeView
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.sensing.sight import surface_names
 
 INTENTS = {"i_take": 1, "i_leave": 1, "handled": 1, "brought": 1, "is_in": 2, "please_move": 0}
 """Number of names that follow each intent: things, and of ``is_in`` a thing and a surface or room."""
@@ -40,3 +45,43 @@ def say(kind: str, *names: str, to: str = "") -> Message:
             code="H3-LANGUAGE-021",
         )
     return Message(" ".join((kind, *names)), to)
+
+
+class Speaker(ABC):
+    """Planner that, once it has chosen what to do next, first says what has changed."""
+
+    def __init__(self, episode: Any) -> None:
+        self._names = [target.name for target in episode.targets]
+        self._surfaces = surface_names(episode.scene)
+        self._heard, self._taken = 0, -1
+        self._say: list[Message] = []
+        self._next: Action | None = None
+        """Choice that follows the messages."""
+
+    def act(self, view: RearrangeView) -> Action:
+        """Return the next message, or the next skill."""
+        if not self._say and self._next is None:
+            self._next = self._choose(view)
+            self._tell(view)
+        if self._say:
+            return self._say.pop(0).action
+        action, self._next = self._next, None
+        assert action is not None
+        return action
+
+    @abstractmethod
+    def _choose(self, view: RearrangeView) -> Action:
+        """Return the next skill."""
+
+    @abstractmethod
+    def _tell(self, view: RearrangeView) -> None:
+        """Makes the messages about everything that has changed since the last ones."""
+
+    def _tell_places(self, view: RearrangeView, told: set[int]) -> set[int]:
+        """Says where objects are that were not ``told``; returns those whose places are known."""
+        assert view.places is not None
+        known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
+        for k in sorted(known - told):
+            nearest = int(np.argmin(np.linalg.norm(view.places.points - view.objects[k], axis=1)))
+            self._say.append(say("is_in", self._names[k], self._surfaces[nearest]))
+        return known

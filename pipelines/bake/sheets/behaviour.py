@@ -2,7 +2,7 @@
 
 h3data generate social_nav --policy end_to_end --scenes h3-homes/test --episodes 30 --seed 9107 -o nav
 h3data generate rearrange --policy plan_pop_3_pixels --partner both --scenes h3-homes/test --episodes 12 --seed 9107 -o pixels
-h3data generate rearrange --policy plan_pop_3_robot --partner object_1 --scenes h3-homes/test --episodes 12 --seed 9107 -o one
+h3data generate rearrange --policy plan_pop_3_robot --partner object_1 --scenes h3-homes/test --episodes 8 --seed 9107 -o one
 python -m bake.sheets.behaviour docs/pictures nav pixels [NAME ...]
 python -m bake.sheets.behaviour docs/pictures one fetch
 
@@ -123,7 +123,7 @@ def backs_up_at_a_door(recording: Recording, motion: Motion) -> list[Moment]:
 def gives_way(recording: Recording, motion: Motion) -> list[Moment]:
     """The robot is in the path of a walking person, moves aside by 0.25 m or more, and is passed without a touch."""
     del recording
-    _steps, half = 120, 60
+    half = 60  # of the steps of a film
     found = []
     total = len(motion.away)
     for middle in range(half, total - half + 1, 3):

@@ -263,8 +263,10 @@ def allowed(view: View, *, informed: bool = True) -> Tensor:
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by
-    known = (held != view.agent) & (view.play.placed_by != view.agent)  # to one that sees
-    free = (held == NOBODY) & ~view.sim.at_goal(view.hands, view.places) if informed else known
+    if informed:
+        free = (held == NOBODY) & ~view.sim.at_goal(view.hands, view.places)
+    else:
+        free = (held != view.agent) & (view.play.placed_by != view.agent)
     lies = free.gather(1, k)
     empty, mine = ~(held == view.agent).any(1, keepdim=True), (held == view.agent).gather(1, k)
     fetches = (kind == NAV_OBJECT) | (kind == PICK)
