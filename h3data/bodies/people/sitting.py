@@ -49,6 +49,8 @@ HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
+PATH_SINK_M = 0.012
+"""Depth by which skin may be behind the front edge on the path [m]."""
 TABLE = 61
 """Poses between standing and sitting that are computed for one seat, and as many up to lying; between them they are
 interpolated."""
@@ -158,7 +160,7 @@ class Sitting:
         quats[:, _ARMS] = arms.reshape(TABLE, -1, 4)
         skin = body.skin(body.joint_matrices(roots, quats, pelvis))
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
-        above = (skin[..., 0] < self.edge_m - 2 * 0.012) | (share >= TUCKED)[:, None]
+        above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
         above &= ~np.isin(owner, _THIGHS)
         pelvis[:, 1] += self.seat_m - SINK_M - np.where(above, skin[..., 1], np.inf).min(1)
         return quats, pelvis
@@ -271,11 +273,9 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
     skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
-    # depth by which skin may be behind the front edge on the path [m]
-    path_sink_m = 0.012
-    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, path_sink_m, SINK_M)[:, None]
+    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
     # skin below the height of the seat would be in it if the edge were further forward
-    edge = float(ahead[skin[..., 1] < seat_m - path_sink_m].min())
+    edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
     return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))
 
 
