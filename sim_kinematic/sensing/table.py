@@ -283,6 +283,14 @@ def _ways(end: Literal["objects", "goals"], *, other: bool = False) -> Sensor:
     return Sensor(lambda m: m.ways(end, other=other), (0.0,), (FAR_M,), ("m",), times="objects", of_other=other)
 
 
+def _other_from(points: Callable[[Context], Any]) -> Sensor:
+    def seen(m: Context) -> Any:
+        gap = points(m)[..., 0:3:2] - m.other.xz[..., None, :]
+        return m.xp.hypot(gap[..., 0], gap[..., 1])
+
+    return Sensor(seen, (0.0,), (FAR_M,), ("m",), times="objects", of_other=True)
+
+
 def _path_ahead(*, other: bool) -> Sensor:
     def seen(m: Context) -> Any:
         return _polar_of(m, m.ahead(other=other).reshape((*m.now.heading.shape, -1, 2)))
@@ -380,6 +388,8 @@ TABLE: Mapping[str, Sensor] = {
     "way_to_goals": _ways("goals"),
     "other_way_to_objects": _ways("objects", other=True),
     "other_way_to_goals": _ways("goals", other=True),
+    "other_from_starts": _other_from(lambda m: m.starts),
+    "other_from_goals": _other_from(lambda m: m.goals),
     "other_approach": Sensor(_approach, (-NEARER_M,), (NEARER_M,), ("m",), times="objects", of_other=True),
     "path_ahead": _path_ahead(other=False),
     "other_path_ahead": _path_ahead(other=True),

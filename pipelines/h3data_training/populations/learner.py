@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
-from h3data_training.populations.networks import Chooser
+from h3data_training.populations.networks import Chooser, guessed_columns
 from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.torch.graph import captured, overwrite
@@ -23,7 +24,18 @@ from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 
-LEARNED_FROM = ("each", "rest", "pictures", "allowed", "chosen", "log_prob", "critic_obs", "advantage", "target")
+LEARNED_FROM = (
+    "each",
+    "rest",
+    "pictures",
+    "allowed",
+    "chosen",
+    "log_prob",
+    "critic_obs",
+    "advantage",
+    "target",
+    "guessed",
+)
 """Columns of a minibatch."""
 
 
@@ -61,8 +73,8 @@ class ChooserLearner:
         self.optimizer = torch.optim.Adam(self.net.parameters(), self._rate, eps=1e-5, capturable=self._on_gpu)
         self._x: dict[str, Tensor] = {}
         """The minibatch that a gradient step learns from."""
-        self._means = torch.zeros(4, device=self.device)
-        """Means over it: loss of the critic, entropy, KL divergence, share of clipped ratios."""
+        self._means = torch.zeros(5, device=self.device)
+        """Means over it: losses of the critic and of guesses, entropy, KL divergence, share of clipped ratios."""
         self._step: Callable[[], None] = self._eager
 
     @property
@@ -119,13 +131,14 @@ class ChooserLearner:
             value = self.net.value_head(critic_obs).squeeze(-1)
         advantage = advantages(x["gain"] * s.reward_scale, x["discount"], value, counts, lam=s.gae_lambda)
         target, spread = advantage + value, advantage.std(correction=0) + 1e-4
+        x["guessed"] = x["told"][:, guessed_columns(self.agent, self.objects) if self.net.sees else []]
         x |= {"critic_obs": critic_obs, "target": target, "advantage": (advantage - advantage.mean()) / spread}
         at, valid = chunks_of(counts, s.chunk)
         states = x["state"][at[0]]
         batch = {name: x[name][at] for name in LEARNED_FROM} | {"valid": valid.float()}
         batch["allowed"] |= ~valid[..., None]
         size = s.minibatch_of(self.name)
-        sums, count, moved = np.zeros(4), 0, 0.0
+        sums, count, moved = np.zeros(5), 0, 0.0
         for epoch in range(s.epochs):
             if moved > s.kl_most:
                 break
@@ -134,14 +147,14 @@ class ChooserLearner:
             missing = order.new_full((-len(order) % size,), -1)
             found = [self._learned(batch, states, rows) for rows in torch.cat([order, missing]).split(size)]
             means = torch.stack(found).double().cpu().numpy()
-            sums, count, moved = sums + means.sum(0), count + len(means), float(means.mean(0)[2])
+            sums, count, moved = sums + means.sum(0), count + len(means), float(means.mean(0)[3])
         explained = 1 - float(advantage.var()) / max(float(target.var()), 1e-8)
-        names = ("value_loss", "entropy", "kl", "clipped")
+        names = ("value_loss", "guess_loss", "entropy", "kl", "clipped")
         last = {"kl": moved, "explained": explained, "gradient_steps": count}
         return dict(zip(names, (sums / count).tolist(), strict=True)) | last
 
     def _learned(self, batch: Mapping[str, Tensor], states: Tensor, rows: Tensor) -> Tensor:
-        """A gradient step with chunks of these numbers, -1 for none, and its means [4]."""
+        """A gradient step with chunks of these numbers, -1 for none, and its means [5]."""
         x = {name: t[:, rows] for name, t in batch.items()} | {"state": states[rows]}
         x["valid"] = x["valid"] * (rows >= 0)
         if self._on_gpu and self._x:
@@ -166,15 +179,19 @@ class ChooserLearner:
         s, net, x = self.settings, self.net, self._x
         valid = x["valid"]
         total = valid.sum()
-        scores = net(x["each"], x["rest"], x["state"], x["pictures"]).masked_fill(~x["allowed"], -torch.inf)
-        log_probs = scores.log_softmax(-1)
+        scores, known = net(x["each"], x["rest"], x["state"], x["pictures"])
+        log_probs = scores.masked_fill(~x["allowed"], -torch.inf).log_softmax(-1)
         log_prob = log_probs.gather(-1, x["chosen"][..., None]).squeeze(-1)
         entropy = -(log_probs.exp() * log_probs.masked_fill(~x["allowed"], 0.0)).sum(-1)
         moved = (log_prob - x["log_prob"]) * valid
         ratio, gain = moved.exp(), x["advantage"]
         worth = torch.minimum(ratio * gain, ratio.clamp(1 - s.clip, 1 + s.clip) * gain)
         wrong = ((net.value_head(x["critic_obs"]).squeeze(-1) - x["target"]).square() * valid).sum() / total
-        loss = wrong - self._acts * ((worth + self._entropy * entropy) * valid).sum() / total
+        guess = torch.zeros_like(wrong)
+        if net.sees and s.guess:
+            off = F.binary_cross_entropy_with_logits(net.guess(known), x["guessed"], reduction="none").mean(-1)
+            guess = (off * valid).sum() / total
+        loss = wrong + s.guess * guess - self._acts * ((worth + self._entropy * entropy) * valid).sum() / total
         self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), s.gradient_norm)
@@ -182,7 +199,7 @@ class ChooserLearner:
         with torch.no_grad():
             outside = ((ratio - 1).abs() > s.clip).float()
             parts = (entropy, (ratio - 1) - moved, outside)
-            self._means.copy_(torch.stack([wrong, *((t * valid).sum() / total for t in parts)]))
+            self._means.copy_(torch.stack([wrong, guess, *((t * valid).sum() / total for t in parts)]))
 
     def _critic_obs(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
         """Inputs of the critic, which include who the partner is, [D, n]."""

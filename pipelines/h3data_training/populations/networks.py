@@ -13,7 +13,12 @@ from torch.nn import functional as F
 
 from h3data_training.networks import picture_arrays, picture_features, picture_layers
 from h3data_training.populations.settings import PopulationSettings
-from sim_kinematic.policies.choosers.chooser_network import SKILLS_WITH_OBJECT, input_lengths, rest_count
+from sim_kinematic.policies.choosers.chooser_network import (
+    OBSERVATIONS,
+    SKILLS_WITH_OBJECT,
+    input_lengths,
+    rest_count,
+)
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
@@ -21,10 +26,19 @@ PERSIST = 4.5
 arrive."""
 AT_HAND, ASIDE = 1.0, -2.0
 """First biases of the network for picking and placing at the target, and for waiting and the primitives."""
+GUESSED = ("held_by_other", "at_goal")
+"""Observations of each object that a robot that sees is not told and learns to guess, so that its memory holds them."""
+
+
+def guessed_columns(agent: str, objects: int) -> list[int]:
+    """Return the columns of the state, as the critic is told it, that hold `GUESSED` for each object."""
+    of_object, _ = input_lengths(agent)
+    starts = [input_lengths(agent, OBSERVATIONS[: OBSERVATIONS.index(name)])[0] for name in GUESSED]
+    return [k * of_object + start for start in starts for k in range(objects)]
 
 
 class Chooser(nn.Module):
-    """A recurrent actor, and a critic that is told who the partner is."""
+    """A recurrent actor, a critic that is told who the partner is, and what else only training needs."""
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()
@@ -37,6 +51,7 @@ class Chooser(nn.Module):
             rest += s.features
             of_object_told, rest_told = input_lengths(agent)
             told += objects * of_object_told + rest_told
+            self.guess = nn.Sequential(nn.Linear(s.hidden, s.width), nn.ELU(), nn.Linear(s.width, objects * len(GUESSED)))
         others = rest_count(agent)
         self.objects, self.others = objects, others
         self.object = nn.Linear(of_object + objects, s.width)
@@ -54,8 +69,8 @@ class Chooser(nn.Module):
             self.each_1.bias[2:] = AT_HAND
             self.rest_1.bias.fill_(ASIDE)
 
-    def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> Tensor:
-        """Scores [T, B, C] for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first.
+    def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first.
 
         ``pictures`` are roots of depth [T, B, H, W], of a policy that does not see [T, B, 0, 0].
         """
@@ -72,7 +87,8 @@ class Chooser(nn.Module):
         interrupted = torch.cat(
             [each[..., -SKILLS_WITH_OBJECT:].transpose(2, 3).flatten(2), rest[..., -self.others :]], -1
         )
-        return torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1) + self.persist * interrupted
+        scores = torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1)
+        return scores + self.persist * interrupted, known
 
     def arrays(self) -> dict[str, Any]:
         """The actor as `sim_kinematic.policies.choosers.chooser_network.SkillPolicyNetwork` names its arrays, float32."""

@@ -12,7 +12,7 @@ from sim_kinematic.motion.spec import WALKERS
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, PIXELS, WITHOUT_OTHER
 from sim_kinematic.policies.rearrange import POPULATIONS
 from sim_kinematic.policies.visual_policy import VisualPolicy
-from sim_kinematic.sensing.table import HUMANOID_GPS
+from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 ROBOT = "robot"
@@ -92,6 +92,8 @@ class PopulationSettings:
     rate: float = 1e-3
     rate_end: float = 0.1
     """Share of the learning rate that is left at the end."""
+    guess: float = 0.0
+    """Weight of guesses about objects, of a robot that sees (`h3data_training.populations.networks.GUESSED`)."""
     entropy: float = 0.005
     entropy_end: float = 0.2
     """Share of the weight of the entropy that is left at the end."""
@@ -180,7 +182,7 @@ class PopulationSettings:
         """Observations of a learner, the ``robot`` or a ``human``."""
         is_hidden = HUMANOID_GPS in self.without
         if agent == ROBOT and self.pixels:
-            return tuple(name for name in PIXELS if not (is_hidden and name == HUMANOID_GPS))
+            return tuple(name for name in PIXELS if not (is_hidden and name in SENSES and SENSES[name].of_other))
         return WITHOUT_OTHER if agent == ROBOT and is_hidden else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
@@ -234,7 +236,7 @@ are 20 episodes of about 600, and 100 M steps are 8,333 updates. A rollout of 12
 minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""
 
 
-SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3, temperature=0.25)
+SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3, guess=0.25, temperature=0.25)
 """Our own settings for a robot that sees. It has to remember what it has found out in an episode. While the person is near, it
 decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures. The
 temperature was chosen on val homes (h3data docs populations)."""
