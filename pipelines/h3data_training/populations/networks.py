@@ -51,7 +51,9 @@ class Chooser(nn.Module):
             rest += s.features
             of_object_told, rest_told = input_lengths(agent)
             told += objects * of_object_told + rest_told
-            self.guess = nn.Sequential(nn.Linear(s.hidden, s.width), nn.ELU(), nn.Linear(s.width, objects * len(GUESSED)))
+            self.guess = nn.Sequential(
+                nn.Linear(s.hidden, s.width), nn.ELU(), nn.Linear(s.width, objects * len(GUESSED))
+            )
         others = rest_count(agent)
         self.objects, self.others = objects, others
         self.object = nn.Linear(of_object + objects, s.width)

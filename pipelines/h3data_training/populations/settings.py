@@ -236,7 +236,9 @@ are 20 episodes of about 600, and 100 M steps are 8,333 updates. A rollout of 12
 minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""
 
 
-SEEING = PopulationSettings(pixels=True, chunk=64, chunks_per_minibatch=3, guess=0.25, temperature=0.25)
+SEEING = PopulationSettings(
+    pixels=True, hidden=128, chunk=64, chunks_per_minibatch=3, guess=0.25, entropy_end=0.05, temperature=0.25
+)
 """Our own settings for a robot that sees. It has to remember what it has found out in an episode. While the person is near, it
 decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures. The
 temperature was chosen on val homes (h3data docs populations)."""
