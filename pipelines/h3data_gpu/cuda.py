@@ -88,29 +88,17 @@ class Program:
     def launch(
         self, name: str, blocks: int, threads: int, argument: ctypes.Structure, *, shared_bytes: int = 0
     ) -> None:
-        """Launches a kernel on torch's current stream; its only parameter is a struct."""
+        """Launches a kernel on torch's current stream of its device, whichever is current; its only parameter is a struct."""
         import torch
 
         if blocks == 0:
             return
-        function = self._function(name, shared_bytes)
         parameters = (ctypes.c_void_p * 1)(ctypes.addressof(argument))
         stream = ctypes.c_void_p(torch.cuda.current_stream(self.device).cuda_stream)
-        _call(
-            self._driver,
-            "cuLaunchKernel",
-            function,
-            blocks,
-            1,
-            1,
-            threads,
-            1,
-            1,
-            shared_bytes,
-            stream,
-            parameters,
-            None,
-        )
+        grid, block = (blocks, 1, 1), (threads, 1, 1)
+        with torch.cuda.device(self.device):  # a kernel, and a graph that captures it, belong to the context of one GPU
+            function = self._function(name, shared_bytes)
+            _call(self._driver, "cuLaunchKernel", function, *grid, *block, shared_bytes, stream, parameters, None)
 
     def _function(self, name: str, shared_bytes: int) -> ctypes.c_void_p:
         function, allowed = self._functions.get(name, (None, 48 * 1024))

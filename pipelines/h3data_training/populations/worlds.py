@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -209,11 +208,9 @@ class _Worlds:
     def _draw(self) -> None:
         """Shows robots what they see now."""
         assert self._cameras is not None
-        device = self._sim.device
-        with torch.cuda.device(device) if device.type == "cuda" else nullcontext():  # its kernels are of one GPU
-            self._cameras.pose(self._play.robot, self._play.human, place=self._sim.tables.at(self._play.episode).place)
-            seen = arm_pictures(self._cameras, SEEN)
-            self._choosers[0].look(seen["arm_depth"][..., 0], seen["humanoid_detector"])
+        self._cameras.pose(self._play.robot, self._play.human, place=self._sim.tables.at(self._play.episode).place)
+        seen = arm_pictures(self._cameras, SEEN)
+        self._choosers[0].look(seen["arm_depth"][..., 0], seen["humanoid_detector"])
 
     def _paths(self) -> tuple[Tensor, Tensor, Tensor]:
         paths = Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode))
