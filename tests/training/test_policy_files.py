@@ -345,7 +345,7 @@ def test_a_packed_policy_is_the_same_one(file: Path, tmp_path: Path) -> None:
         ("end_to_end_paper", "e974033d50794e67"),
         ("learn_single", "5bcd3dd49c934167"),
         ("plan_pop_3_robot", "9733b80c5ab7fb64"),
-        ("plan_pop_3_pixels", "c952f39534b68840"),
+        ("plan_pop_3_pixels", "f924fe400a08"),
         ("learn_pop", "182830523dfc7896"),
     ],
 )

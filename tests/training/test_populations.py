@@ -209,7 +209,7 @@ def test_it_gives_what_pytorch_gives(name: str, without: tuple[str, ...], pixels
         depth = np.array([moment["arm_depth"][None, ..., 0] for moment in moments])
         pictures = torch.as_tensor(np.sqrt(depth).astype(np.float16))
     with torch.no_grad():
-        expected = learner.net(each, rest, torch.zeros(1, 8), pictures)[:, 0].numpy()
+        expected = learner.net(each, rest, torch.zeros(1, 8), pictures)[0][:, 0].numpy()
     state, scores = network.start(), []
     for moment, own in zip(moments, inputs, strict=True):
         score, state = network(*own, state, moment)
