@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
+    "sim_kinematic.controllers.controller": "sim_kinematic.controllers",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
     "h3data.render.light.exposure": "h3data_light.exposure",

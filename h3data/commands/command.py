@@ -68,7 +68,6 @@ OverridesOption = Annotated[
     tuple[str, ...],
     tyro.conf.arg(name="set", help="A single rule of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
 ]
-StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
 ]

@@ -287,9 +287,6 @@ _PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
 
 
 # --- options in messages ----------------------------------------------------------------------------------------------
-# Commands name options as the shell does (--resume), the packages below them as Python does (resume=True). Both reach users
-# of both, so they are translated where they leave: here, once, instead of two texts in hundreds of messages.
-_IN_SHELL = re.compile(r"(h3data [a-z]+ [^.;)`]*)|(?<![\w-])(--?[a-z][a-z-]*)(?:[ =]([A-Z]+\b|\d[\d.]*\b(?!\.)))?")
 
 
 def in_python_words(message: str, command: type[Command]) -> str:
@@ -308,7 +305,11 @@ def in_python_words(message: str, command: type[Command]) -> str:
         return f"{option.field}={found[3]}" if found[3] else option.field
 
     message = message.replace("the same command", "the same call")
-    return _IN_SHELL.sub(as_parameter, message.replace("overwrite=True", "force=True"))
+    # commands name options as the shell does (--resume), the packages below them as Python does (resume=True).
+    # Both reach users of both, so they are translated where they leave: here, once, instead of two texts in
+    # hundreds of messages.
+    in_shell = re.compile(r"(h3data [a-z]+ [^.;)`]*)|(?<![\w-])(--?[a-z][a-z-]*)(?:[ =]([A-Z]+\b|\d[\d.]*\b(?!\.)))?")
+    return in_shell.sub(as_parameter, message.replace("overwrite=True", "force=True"))
 
 
 def command_line(name: str, command: Command) -> str:

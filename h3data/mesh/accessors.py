@@ -18,8 +18,6 @@ from h3data.plugins import Registry
 MESHOPT = "EXT_meshopt_compression"
 CODECS: Registry[Callable[..., NDArray[np.uint8]]] = Registry("h3data.gltf_codecs", {}, what="codec of glTF files")
 """Decoders of compressed buffer views, by the extension that describes them."""
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,10 @@ class GltfArrays:
     def accessor(self, index: object) -> NDArray[Any]:
         """The elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
         record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
-        if record.get("type") not in _WIDTHS:
-            raise ValueError(f"{where}.type is {record.get('type')!r}, not one of {', '.join(_WIDTHS)}")
-        width, count = _WIDTHS[record["type"]], natural(record, "count", where)
+        widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+        if record.get("type") not in widths:
+            raise ValueError(f"{where}.type is {record.get('type')!r}, not one of {', '.join(widths)}")
+        width, count = widths[record["type"]], natural(record, "count", where)
         dtype = _component(record, where)
         if "bufferView" in record:
             array = self._strided(record, where, dtype, count, width)
@@ -157,6 +156,7 @@ def _child(record: dict[str, Any], key: str, where: str) -> dict[str, Any]:
 
 def _component(record: dict[str, Any], where: str) -> np.dtype:
     kind = record.get("componentType")
-    if kind not in _COMPONENTS:
-        raise ValueError(f"{where}.componentType is {kind!r}, not one of {', '.join(map(str, _COMPONENTS))}")
-    return np.dtype(_COMPONENTS[kind])
+    types = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+    if kind not in types:
+        raise ValueError(f"{where}.componentType is {kind!r}, not one of {', '.join(map(str, types))}")
+    return np.dtype(types[kind])

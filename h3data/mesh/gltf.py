@@ -30,19 +30,6 @@ from h3data.mesh.gltf_materials import GltfMaterials
 from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, has_positions, read_primitive, triangle_count
 
 _log = logging.getLogger(__name__)
-_KNOWN_EXTENSIONS = {
-    "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_compression",
-    "EXT_texture_webp",
-    "KHR_draco_mesh_compression",
-    "KHR_materials_pbrSpecularGlossiness",
-    "KHR_materials_unlit",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_ktx",
-    "KHR_texture_transform",
-}
-"""Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
 
 
 class GltfFile:
@@ -297,7 +284,20 @@ def _check_extensions(required: Any, path: Path) -> None:
     """Refuses required extensions that are not known, by name; warns of those that only paint."""
     if not isinstance(required, list):
         raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
-    unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
+    # extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers.
+    known = {
+        "EXT_mesh_gpu_instancing",
+        "EXT_meshopt_compression",
+        "EXT_texture_webp",
+        "KHR_draco_mesh_compression",
+        "KHR_materials_pbrSpecularGlossiness",
+        "KHR_materials_unlit",
+        "KHR_mesh_quantization",
+        "KHR_texture_basisu",
+        "KHR_texture_ktx",
+        "KHR_texture_transform",
+    }
+    unknown = sorted({str(name) for name in required} - known)
     packed = [name for name in unknown if "compression" in name]
     if packed:
         raise SceneError(

@@ -15,8 +15,6 @@ from h3data.mesh.accessors import GltfArrays, entry, natural
 from h3data.mesh.images import Alpha, image_size, image_texture, largest_side
 from h3data.mesh.mesh import Texture
 
-_ALPHA_MODES: Mapping[str, Alpha] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
@@ -61,8 +59,9 @@ class GltfMaterials:
         opacity = 1.0 if factor is None or len(factor) < 4 else float(factor[3])
         if not 0 <= opacity <= 1:
             raise ValueError(f"{where} has the opacity {factor!r}[3], not between 0 and 1")
+        modes: Mapping[str, Alpha] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
         alpha, cutoff = (
-            _ALPHA_MODES.get(record.get("alphaMode", "OPAQUE"), "OPAQUE"),
+            modes.get(record.get("alphaMode", "OPAQUE"), "OPAQUE"),
             float(record.get("alphaCutoff", 0.5)),
         )
         if info is None:

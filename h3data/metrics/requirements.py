@@ -72,24 +72,6 @@ def find_agents(recording: Recording) -> tuple[int, int]:
     )
 
 
-def find_pair(recording: Recording) -> tuple[int, int]:
-    """Returns the indices of two agents: the first robot and the first human, else the first two of any kind.
-
-    The first of them is measured, near the second. An `UnmeasurableError` says that there are fewer than two.
-    """
-    agents = recording.agents
-    if {"robot", "human"} <= {a.kind for a in agents}:
-        return find_agents(recording)
-    if len(agents) < 2:
-        present = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "nobody"
-        raise UnmeasurableError(
-            f"These metrics need two agents; recording {recording.episode.episode_id!r} has {present}.",
-            "needs two agents",
-            code="H3-METRIC-029",
-        )
-    return 0, 1
-
-
 def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
     """Returns the entries of ``metric.columns`` that a recording lacks."""
     return tuple(entry for entry in metric.columns if not any(_has(recording, name) for name in entry.split(OR)))

@@ -148,19 +148,6 @@ class MetricsTable:
         return ["Left out", *lines] if lines else []
 
 
-def summarize(
-    metric: Metric,
-    values: NDArray[np.float64],
-    *,
-    confidence: float = 0.95,
-    resamples: int = 10_000,
-    seed: int = 0,
-) -> Summary:
-    """Returns the mean of the defined ``values`` [E] with its interval: Wilson's for 0/1 metrics, else a seeded bootstrap."""
-    columns = {metric.name: values}
-    return summarize_all([metric], columns, confidence=confidence, resamples=resamples, seed=seed)[metric.name]
-
-
 def summarize_all(
     metrics: Sequence[Metric],
     columns: Mapping[str, NDArray[np.float64]],

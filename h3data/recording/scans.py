@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 from h3data.geometry import heading_from_quat
 from h3data.recording.records import Recording
 
-SCANNERS = ("lidar", "lidar_legs", "range_scan")
-"""Sensors that are scans: rays at equal angles, the first straight ahead, the others to the left."""
-CLOUDS = ("lidar_3d",)
-"""Sensors that are scans of several lasers, each at an elevation of its own."""
 HEIGHT_M = 0.3
 """Height over the floor at which scans are shown, that of the scanner [m]."""
 
@@ -69,13 +65,17 @@ def scan_column(agent: int, sensor: str) -> str:
 
 def scans_of(recording: Recording) -> list[Scan]:
     """Returns the planar scans of a recording, by agent."""
-    return [scan for scan, _ in _found(recording, SCANNERS, 2)]
+    # sensors that are scans: rays at equal angles, the first straight ahead, the others to the left
+    scanners = ("lidar", "lidar_legs", "range_scan")
+    return [scan for scan, _ in _found(recording, scanners, 2)]
 
 
 def clouds_of(recording: Recording) -> list[Scan]:
     """Returns the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
     clouds = []
-    for scan, facts in _found(recording, CLOUDS, 3):
+    # sensors that are scans of several lasers, each at an elevation of its own
+    cloud_sensors = ("lidar_3d",)
+    for scan, facts in _found(recording, cloud_sensors, 3):
         try:
             (low, high), height = facts["elevation_deg"], float(facts["height_m"])
             lasers = np.radians(np.linspace(float(low), float(high), scan.ranges.shape[1]))

@@ -27,13 +27,6 @@ from h3data.errors import InputError
 
 SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
 """Schemes that pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
-# Paths end up in messages and logs: hidden are passwords before an @, and queries whose name says secret.
-_SECRET = re.compile(
-    r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
-    re.I,
-)
-# At least two letters, as a Windows drive is no scheme; one slash is enough, because `Path` joins two.
-_URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
 
 @dataclass(frozen=True, order=True)
@@ -194,7 +187,12 @@ AnyPath = Path | RemotePath
 
 def masked(text: str) -> str:
     """``text`` with ``***`` in place of the passwords and keys of URIs in it."""
-    return _SECRET.sub(lambda match: f"{match[1] or match[2]}***", text)
+    # paths end up in messages and logs: hidden are passwords before an @, and queries whose name says secret
+    secret = re.compile(
+        r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
+        re.I,
+    )
+    return secret.sub(lambda match: f"{match[1] or match[2]}***", text)
 
 
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
@@ -208,7 +206,9 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     if isinstance(path, RemotePath):
         return path
     text = os.fspath(path)
-    match = _URI.fullmatch(text)
+    # at least two letters, as a Windows drive is no scheme; one slash is enough, because `Path` joins two
+    uri = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
+    match = uri.fullmatch(text)
     # a Windows drive or a name with a colon is no URI; ``s3:/bucket`` is one that a `Path` has shortened
     if match is None or not (match["double"] or match["scheme"].lower() in SCHEMES):
         return Path(path)

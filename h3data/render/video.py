@@ -41,7 +41,6 @@ _SETTINGS = {
     "av1": _Settings("libsvtav1", "yuv420p", "mp4", {"preset": "10"}),
     "ffv1": _Settings("ffv1", "gray16le", "matroska", {}),  # opens the file; the frames are those of `Ffv1Encoder`
 }
-_CRF = {"h264": 23, "av1": 32}
 _LUMA, _U, _V = (66, 129, 25, 4224), (-38, -74, 112, 131584), (112, -94, -18, 131584)
 """Weights of red, green and blue, and a constant, in 1/256 for one pixel and in 1/1024 for the sum of four."""
 _AT_ONCE = 16
@@ -93,8 +92,9 @@ class VideoWriter:
         self.width, self.height, self.fps, self.codec = int(width), int(height), fps, codec
         self.frame_count = 0
         self._options = dict(_SETTINGS[codec].options)
-        if codec in _CRF:
-            self._options["crf"] = str(_CRF[codec] if crf is None else crf)
+        quality = {"h264": 23, "av1": 32}
+        if codec in quality:
+            self._options["crf"] = str(quality[codec] if crf is None else crf)
             self._options["preset"] = preset or self._options["preset"]
         if key_frames is not None:
             every = f":keyint={key_frames}:min-keyint={key_frames}:scenecut=0:bframes=0"

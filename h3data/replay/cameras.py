@@ -80,8 +80,14 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     if name_or_file.lower().endswith((".toml", ".json")):
         return track_of_file(replay, Path(name_or_file))
     names = camera_names(replay)
-    if name_or_file in names and name_or_file in _VIRTUAL:
-        return _VIRTUAL[name_or_file](replay)
+    # cameras that are computed from the recording as a whole
+    virtual = {
+        "top_down": top_down,
+        "top_down_orthographic": top_down_orthographic,
+        "orbit": orbit,
+    }
+    if name_or_file in names and name_or_file in virtual:
+        return virtual[name_or_file](replay)
     if (leader := _followed(replay, name_or_file)) is not None:
         track = third_person(replay, leader)
         return replace(track, camera=replace(track.camera, name=name_or_file.replace("/", ".")))
@@ -263,11 +269,3 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     lo, hi = points.min(0), points.max(0)
     # a single point would make a camera without a distance
     return lo, np.maximum(hi, lo + 1.0)
-
-
-_VIRTUAL = {
-    "top_down": top_down,
-    "top_down_orthographic": top_down_orthographic,
-    "orbit": orbit,
-}
-"""Cameras that are computed from the recording as a whole."""

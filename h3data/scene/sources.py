@@ -203,18 +203,6 @@ def scene_of(source: SceneSource) -> Scene:
     return cast(SceneGenerator, SCENES.get(source.kind)).build(source)
 
 
-def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
-    """The spec of a scene whose `Scene.source` is ``source``; None if no installed generator makes its kind.
-
-    Raises:
-        TypeError, H3DataError: the generator does not know such values.
-    """
-    generator = scene_generators().get(str(source.get("kind", "")))
-    if generator is None:
-        return None
-    return generator.Spec(**{name: value for name, value in source.items() if name != "kind"})
-
-
 def scene_files(maker: str) -> SceneReader:
     """The reader and writer of a maker's files, such as ``habitat``.
 

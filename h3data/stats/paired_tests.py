@@ -85,9 +85,15 @@ def compare_paired(
         raise InputError(
             "McNemar's test compares 0/1 values; these are others. Hint: method='permutation'.", code="H3-STATS-029"
         )
-    if method not in _TESTS:
-        raise InputError(f"Expected a method of auto, {', '.join(_TESTS)}, got {method!r}.", code="H3-STATS-030")
-    name, test, effect_name = _TESTS[method]
+    tests = {
+        "permutation": ("permutation", _permutation, "Cohen's d_z"),
+        "t": ("paired t", _student, "Cohen's d_z"),
+        "wilcoxon": ("Wilcoxon signed-rank", _wilcoxon, "rank-biserial correlation"),
+        "mcnemar": ("exact McNemar", _mcnemar, "odds ratio"),
+    }
+    if method not in tests:
+        raise InputError(f"Expected a method of auto, {', '.join(tests)}, got {method!r}.", code="H3-STATS-030")
+    name, test, effect_name = tests[method]
     d = a - b
     if method == "permutation" and np.count_nonzero(d) <= _ENUMERATED:
         name = "exact permutation"
@@ -192,14 +198,6 @@ def _mcnemar(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
 def _cohen(d: NDArray[np.float64]) -> float:
     spread = d.std(ddof=1)
     return float(d.mean() / spread) if spread > 0 else float("nan")
-
-
-_TESTS = {
-    "permutation": ("permutation", _permutation, "Cohen's d_z"),
-    "t": ("paired t", _student, "Cohen's d_z"),
-    "wilcoxon": ("Wilcoxon signed-rank", _wilcoxon, "rank-biserial correlation"),
-    "mcnemar": ("exact McNemar", _mcnemar, "odds ratio"),
-}
 
 
 def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]) -> None:

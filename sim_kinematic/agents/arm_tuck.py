@@ -32,8 +32,6 @@ HANDS: tuple[Hand, ...] = ("left", "right")
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
 """A hand that carries something is held out where this much room is around its palm, and close to the body where only this
 much is: hand and object reach 8 to 10 cm beyond the palm."""
-FAN = np.linspace(-1.0, 1.0, 9) * 1.2
-"""Turns of the body [rad] that are looked ahead."""
 ONWARD = np.array([0.25, 0.5, 0.75])
 """Distances [m] straight ahead that are looked ahead."""
 
@@ -177,6 +175,8 @@ def held_close(
     ``hand`` is where the hand is when held out: ahead of the body and to its right [m]. They look ahead as far as the arm
     needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
     """
+    # turns of the body [rad] that are looked ahead
+    fan = np.linspace(-1.0, 1.0, 9) * 1.2
     return _held_close(
         free.sdf,
         free.origin,
@@ -190,7 +190,7 @@ def held_close(
         rules.rate / (spec.speed_mps * STEP_S),
         CARRY_FREE_M,
         CARRY_TIGHT_M,
-        FAN,
+        fan,
         ONWARD,
     )
 

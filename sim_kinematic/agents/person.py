@@ -61,8 +61,6 @@ CARRY = (0.27, 0.80, 0.15)
 """Position of a hand that carries something: forward, up, to its side, in heights of the shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
-EASE_M = 0.08
-"""Part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
 """Distance from its palm within which a hand takes hold of an object [m]."""
 FADE_STEPS = 12
@@ -685,8 +683,11 @@ def joint_steps(quats: Array) -> Array:
 
 def _eased(way: Array, ends: tuple[float, float]) -> Array:
     """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
+    # part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave
+    # its line by 8 mm
+    ease_m = 0.08
     # both eases have to fit into a short way; one of no length needs a divisor other than 0
-    ease = min(EASE_M, way[-1] / 2) or 1.0
+    ease = min(ease_m, way[-1] / 2) or 1.0
     weight = np.ones_like(way)
     for from_end, value in ((way, ends[0]), (way[-1] - way, ends[1])):
         u = np.clip(from_end / ease, 0, 1)

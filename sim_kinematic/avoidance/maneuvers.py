@@ -27,7 +27,6 @@ HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
 GAIN_M = 1.5
 """A maneuver ends as soon as it has shortened the path by this much."""
-NO_COMMANDS = np.zeros((0, 2))
 
 
 @kernel(error_model="numpy")
@@ -169,8 +168,9 @@ def plan_maneuver(
     left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
+    no_commands = np.zeros((0, 2))
     if not math.isfinite(here):
-        return NO_COMMANDS
+        return no_commands
     ends = here - GAIN_M <= within_m
     moves, steps = _moves(base)
     hull, offsets = np.array(hull_of(base)), np.array(base.disc_offsets_m)
@@ -218,7 +218,7 @@ def plan_maneuver(
         chosen.append(int(moved[node]))
         node = int(parents[node])
     limits = np.array([base.max_speed_mps, base.max_turn_rad_s])
-    return np.repeat(moves[chosen[::-1]] / limits, steps, axis=0) if chosen else NO_COMMANDS
+    return np.repeat(moves[chosen[::-1]] / limits, steps, axis=0) if chosen else no_commands
 
 
 def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:

@@ -2,7 +2,6 @@
 
 from sim_kinematic.contact.agent_contact import AgentContacts
 from sim_kinematic.contact.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance
-from sim_kinematic.contact.overlaps import Overlap, overlapping_instances
 from sim_kinematic.contact.shapes import capsule_transforms, shapes_from_capsules
 
 __all__ = [
@@ -10,11 +9,9 @@ __all__ = [
     "Contact",
     "FclScene",
     "MovingShapes",
-    "Overlap",
     "capsule_transforms",
     "collide",
     "contacts",
     "distance",
-    "overlapping_instances",
     "shapes_from_capsules",
 ]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from sim_kinematic.controllers.controller import Status
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
 from sim_kinematic.world import (
@@ -29,7 +28,7 @@ class MotionController:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self.status: Status = "choosing"
+        self.status: Literal["choosing", "acting"] = "choosing"
         self.word = ""
         """Word by which the agent of the first world reports what it is doing."""
         self._choices: Sequence[Any] = ()

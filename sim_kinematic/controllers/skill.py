@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ from sim_kinematic.agents.skills import (
     SkillResult,
 )
 from sim_kinematic.avoidance.yielding import NO_PATH
-from sim_kinematic.controllers.controller import Status
 from sim_kinematic.world import World
 
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
@@ -63,7 +63,7 @@ class SkillController:
     _interrupted: bool = False
 
     @property
-    def status(self) -> Status:
+    def status(self) -> Literal["choosing", "acting"]:
         """Return whether the agent has to choose: no skill is running, or the running one has been interrupted."""
         return "choosing" if self._interrupted or (self.skill is None and self._left > 0) else "acting"
 

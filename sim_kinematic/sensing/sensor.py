@@ -43,8 +43,6 @@ RANGES = 12
 """Number of rays of `range_scan`, one every 30 degrees."""
 RANGE_M = 2.0
 """Largest distance that `range_scan` measures [m]."""
-RANGE_STRIDES = 8
-"""Number of strides of sphere tracing, with which 95% of rays in furnished homes are right within 3 cm."""
 
 
 def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> Any:
@@ -229,8 +227,10 @@ def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: An
     along = stacked(xp, *(heading + 2 * np.pi / RANGES * k for k in range(RANGES)))
     direction, start = stacked(xp, xp.cos(along), -xp.sin(along)), xz[..., None, :]
     reach = xp.zeros_like(along)
+    # number of strides of sphere tracing, with which 95% of rays in furnished homes are right within 3 cm
+    strides = 8
     # a stride as long as the distance to the nearest obstacle cannot enter one
-    for _ in range(RANGE_STRIDES):
+    for _ in range(strides):
         left = clearance(start + reach[..., None] * direction)
         reach = (reach + left.clip(0.0, None)).clip(None, RANGE_M)
     return reach

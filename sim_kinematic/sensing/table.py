@@ -445,8 +445,6 @@ SENSES = _rows(
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""
-ON_DEVICES = (*FOLLOWER, *LIDARS)
-"""Observations of the robot of social navigation in worlds on a device."""
 STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
 """Default observations of agents that drive and walk: they cost no picture."""
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)

@@ -167,23 +167,21 @@ def with_options(spec: Any, **options: Any) -> Any:
     return replace(spec, **{name: value for name, value in options.items() if value is not None})
 
 
-_RULE_KINDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a word",
-    tuple: "a list of numbers",
-}
-"""Types of rules that can be given as text, and how to ask for them."""
-
-
 def rule_value(spec: Any, name: str, value: Any) -> Any:
     """Return the value of a rule, given as JSON, in the type that the rules have.
 
     Raises:
         InputError: The task has no such rule, or its values are of another type.
     """
-    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
+    # types of rules that can be given as text, and how to ask for them
+    rule_kinds = {
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        str: "a word",
+        tuple: "a list of numbers",
+    }
+    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in rule_kinds]
     if name not in there:
         raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}", code="H3-JOB-020")
     now = getattr(spec, name)
@@ -198,7 +196,7 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
         given = value if isinstance(value, str) else json.dumps(value)
         shape = f" of length {len(now)}" if kind is tuple else ""
         raise InputError(
-            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            f"Expected the rule {name} to be {rule_kinds[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
             code="H3-JOB-021",
         )
     return value

@@ -20,9 +20,6 @@ from h3data.plugins import own_version
 from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_hash
 from h3data.scene import FreeSpace, Scene, load_scene
 
-ADDED = ("metrics.collision_people", "metrics.collision_robots")
-"""Columns of measurements that recordings of earlier versions lack."""
-
 Columns = Mapping[str, NDArray[Any]]
 
 
@@ -118,9 +115,11 @@ def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str]
     """
     rows = min(len(recorded["time_ns"]), len(simulated["time_ns"]))
     first: Difference | None = None
+    # columns of measurements that recordings of earlier versions lack
+    added = ("metrics.collision_people", "metrics.collision_robots")
     for name in simulated if names is None else names:
         ours = simulated[name][:rows]
-        if name not in recorded and name in ADDED:
+        if name not in recorded and name in added:
             continue
         if name not in recorded:
             return Difference(step=0, column=name, recorded="no such column", simulated=_text(ours[:1]))

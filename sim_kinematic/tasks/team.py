@@ -35,7 +35,7 @@ class Team(ABC):
         # no circle of references: policies with open connections are freed with the last use of their rollout
         self.play: Any = weakref.proxy(play)
         self.controllers: Sequence[Any] = ()
-        """A `sim_kinematic.controllers.controller.Controller` for each agent."""
+        """A controller for each agent (`sim_kinematic.controllers`)."""
         self.order: Sequence[int] = range(len(play.world.roster))
         """Numbers of the agents in the order in which they act."""
 

@@ -26,9 +26,9 @@ from h3data.metrics import (
 )
 from h3data.metrics.episode import NEVER
 from h3data.metrics.paper.encounter import PAPER, encounter_series
-from h3data.metrics.paper.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data_pipelines.metric_texts import explain
+from h3data_viewers.rerun.timeseries import following_rows
 from tests.examples import examples
 from tests.paths import ROOT
 

@@ -42,8 +42,8 @@ from h3data_pipelines.assets.scene_plan import (
 )
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.overlaps import overlapping_instances
 from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation, hull_fills_hollows
-from sim_kinematic.contact import overlapping_instances
 
 SHUT = ["island", "unreachable_room", "out_of_reach"]
 """What a shut door does to the room with the table."""

@@ -12,7 +12,8 @@ from h3data.errors import FormatError, InputError, SceneError
 from h3data.scene import save_scene, scene_digest
 from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import read_scene_set
-from h3data.scene.sources import SCENES, SceneFile, object_mesh, recorded_spec
+from h3data.scene.sources import SCENES, SceneFile, object_mesh
+from h3data_habitat.episodes.scenes import recorded_spec
 from h3data_homes import HomeSpec, build_home
 
 LIFTED = """

@@ -30,19 +30,6 @@ PREFIX = "random:"
 SHAPE_SPACE = "bodies/shape_space.toml"
 DIRECTIONS = 10
 ADULT_HEIGHT_M = (1.5, 1.95)
-COMBINED = (
-    "bind_rotation",
-    "bind_position",
-    "joint_offsets",
-    "capsule_start",
-    "capsule_end",
-    "capsule_radius",
-    "feet",
-    "ankle_height",
-    "height_m",
-    "walk",
-    "jog",
-)
 HAIR: tuple[Color, ...] = (
     (32, 27, 26),
     (62, 44, 34),
@@ -52,13 +39,6 @@ HAIR: tuple[Color, ...] = (
     (128, 64, 40),
 )
 GREY: Color = (176, 173, 170)
-IRIS: tuple[Color, ...] = ((70, 52, 40), (58, 44, 36), (92, 74, 50), (84, 102, 82), (88, 110, 130))
-STYLES = {
-    "female": ("bob", "long", "tail", "bun", "waves", "curls", "tousled", "scarf"),
-    "male": ("crop", "short", "swept", "tousled", "curls", "receding"),
-}
-"""Hair styles by whether the person's phenotype is more female than male."""
-OUTFIT_WEIGHTS = {"casual": 3, "smart": 2, "knit": 2, "sport": 2, "summer": 1, "dress": 2, "pyjamas": 1}
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -98,7 +78,20 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
     nearest = int(np.argmax(weights))
     # what cannot be combined, such as names of joints, is that of the nearest body
     mixed: dict[str, Any] = dict(bodies[nearest])
-    for key in COMBINED:
+    combined = (
+        "bind_rotation",
+        "bind_position",
+        "joint_offsets",
+        "capsule_start",
+        "capsule_end",
+        "capsule_radius",
+        "feet",
+        "ankle_height",
+        "height_m",
+        "walk",
+        "jog",
+    )
+    for key in combined:
         mixed[key] = _combined(weights, [body[key] for body in bodies])
     u, _, v = np.linalg.svd(mixed["bind_rotation"])
     mixed["bind_rotation"] = u @ v  # the rotations next to the combined matrices
@@ -154,8 +147,16 @@ def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, ge
     grey = np.clip((age - 0.74) / 0.14 + rng.normal(0, 0.15), 0, 1)
     hair = (1 - grey) * hair + grey * np.array(GREY) + rng.normal(0, 4, 3)
     female = rng.random() < np.clip(1.6 * (gender - 0.5) + 0.5, 0, 1)
-    styles = [s for s in STYLES["female" if female else "male"] if s != "receding" or grey > 0.25 or rng.random() < 0.2]
-    outfits = {name: weight for name, weight in OUTFIT_WEIGHTS.items() if female or not OUTFITS[name].tights}
+    # hair styles by whether the person's phenotype is more female than male
+    hairstyles = {
+        "female": ("bob", "long", "tail", "bun", "waves", "curls", "tousled", "scarf"),
+        "male": ("crop", "short", "swept", "tousled", "curls", "receding"),
+    }
+    styles = [
+        s for s in hairstyles["female" if female else "male"] if s != "receding" or grey > 0.25 or rng.random() < 0.2
+    ]
+    shares = {"casual": 3, "smart": 2, "knit": 2, "sport": 2, "summer": 1, "dress": 2, "pyjamas": 1}
+    outfits = {name: weight for name, weight in shares.items() if female or not OUTFITS[name].tights}
     names = sorted(outfits)
     weights = np.array([outfits[n] for n in names], np.float64)
     outfit = names[int(rng.choice(len(names), p=weights / weights.sum()))]
@@ -166,12 +167,13 @@ def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, ge
     palette = int(rng.integers(len(OUTFITS[outfit].colors)))
     beard = not female and rng.random() < 0.3
     stubble = 0.0 if female else float(rng.uniform(0, 0.5))
+    irises: tuple[Color, ...] = ((70, 52, 40), (58, 44, 36), (92, 74, 50), (84, 102, 82), (88, 110, 130))
     return replace(
         like,
         complexion=Complexion(
             skin=_rgb(skin),
             hair=_rgb(np.clip(hair, 16, 235)),
-            iris=IRIS[rng.integers(2 if dark else len(IRIS))],
+            iris=irises[rng.integers(2 if dark else len(irises))],
             lips=float(rng.uniform(0.35, 0.7) if female else rng.uniform(0.15, 0.35)),
             blush=float(rng.uniform(0.1, 0.2) if dark else rng.uniform(0.2, 0.45)),
             lines=float(np.clip((age - 0.74) * 2.2, 0, 0.7)),

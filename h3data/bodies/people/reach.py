@@ -47,15 +47,6 @@ PALM_SHARE, PALM_DROP = 0.9, 0.018
 """The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
 _TRIED = 24
 """Nearest table points from which the nearest valid one is sought."""
-_OBSTACLES = {
-    "pelvis": 0,
-    "abdomen": 1,
-    "chest_low": 2,
-    "chest_high": 3,
-    "head": 4,
-    "left_thigh": 5,
-    "right_thigh": 6,
-}
 
 
 class BaseMotion(NamedTuple):
@@ -335,7 +326,16 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
     # the order is that of `ReachBody.joints`
     names = [f"{hand}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")] + [f"{other}_shoulder"]
     names += [f"{side}_{part}" for part in ("hip", "knee", "ankle") for side in ("left", "right")]
-    obstacles = [c for c in body.capsules if c.name in _OBSTACLES]
+    kept_out = {
+        "pelvis": 0,
+        "abdomen": 1,
+        "chest_low": 2,
+        "chest_high": 3,
+        "head": 4,
+        "left_thigh": 5,
+        "right_thigh": 6,
+    }
+    obstacles = [c for c in body.capsules if c.name in kept_out]
     legs, ankles = body.gaits.legs, frames[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]], :3, 3]
     scale = _shoulder(body)
     # 0.026: radius of forearm and hand for the clearance, as a share of the shoulder's height
@@ -352,7 +352,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
         joints=np.array([JOINT_INDEX[name] for name in names]),
         palm=grasp_point(body, hand),
         obstacles=np.array([[*c.start, *c.end, c.radius] for c in obstacles]).reshape(-1, 7),
-        obstacle_joints=np.array([_OBSTACLES[c.name] for c in obstacles], np.int64),
+        obstacle_joints=np.array([kept_out[c.name] for c in obstacles], np.int64),
         arm_radius=0.026 * scale,
     )
 

@@ -43,8 +43,6 @@ LEAN_DEG, LEAN_EARLY = 44.0, 0.8
 """Greatest lean of the trunk between standing and sitting, and the exponent that moves it towards standing."""
 BACK_FIRST, DOWN_LATE = 1.7, 1.2
 """Exponents by which the hips go back before they go down."""
-PATH_SHARES = np.linspace(0.4, 1.0, 13)
-"""Shares of the path at which the front edge is kept out of the body."""
 HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
@@ -66,9 +64,6 @@ LYING_PARTS = (
     ("head",),
     ("left_knee", "right_knee", "left_ankle", "right_ankle"),
 )
-LYING_LEVERS = np.array([0.2, 0.12, 0.4])
-"""Parts of the body that touch a surface on which somebody lies, and the distances of all but the first from the joint that
-lowers them, in body heights."""
 BELLY, LYING_ELBOWS = (-0.055, 0.07, 0.035), (-0.2, -0.25, 1.0)
 """Places of the wrists of somebody who lies from the pelvis, in body heights, and direction of the elbows: ahead, up and
 outwards."""
@@ -137,12 +132,15 @@ class Sitting:
         owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
         parts = [np.isin(owner, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
         flat = LYING_DEG.copy()
+        # parts of the body that touch a surface on which somebody lies, and the distances of all but the
+        # first from the joint that lowers them, in body heights
+        levers = np.array([0.2, 0.12, 0.4])
         # what touches decides how far back, neck and legs are turned: each part is lowered or lifted to where the hips are
         for _ in range(8):
             quats = self._laid_out(flat[None])
             skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, np.zeros((1, 3))))[0]
             hips, *others = (float(skin[part, 1].min()) for part in parts)
-            trunk, head, legs = np.degrees((np.array(others) - hips) / LYING_LEVERS / body.height_m)
+            trunk, head, legs = np.degrees((np.array(others) - hips) / levers / body.height_m)
             flat += (-trunk, 0.0, trunk - head, -legs, -legs, 0.0)
         drawn, stretched, back, arms_by = (
             smoothstep(np.clip((share - begin) / (end - begin), 0, 1))[:, None]
@@ -271,9 +269,11 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         under = seat_skin & (vertices[:, 2] < pelvis[2] + 0.03)
         pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
-    roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
-    skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
-    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
+    # shares of the path at which the front edge is kept out of the body
+    shares_of_path = np.linspace(0.4, 1.0, 13)
+    roots = np.tile(IDENTITY_POSE, (len(shares_of_path), 1))
+    skin = body.skin(body.joint_matrices(roots, *draft.pose(shares_of_path)))
+    ahead = skin[..., 0] + np.where(shares_of_path < 1, PATH_SINK_M, SINK_M)[:, None]
     # skin below the height of the seat would be in it if the edge were further forward
     edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
     return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))

@@ -11,9 +11,6 @@ from h3data.bodies.robots.robot import Robot
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.scene.shape_bounds import shape_bounds
 
-SPACING = 1.4
-"""Distance between two discs of a row, in radii: between them the row is 71% as wide as a disc."""
-
 
 def resting_bounds(robot: Robot) -> NDArray[np.float64]:
     """Returns lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
@@ -34,8 +31,10 @@ def resting_hull(robot: Robot) -> Array:
 
 def row_of_discs(back: float, front: float, radius: float) -> Array:
     """Returns places [D] [m] from ``back`` to ``front``, no farther apart than `SPACING` radii."""
+    # distance between two discs of a row, in radii: between them the row is 71% as wide as a disc
+    spacing = 1.4
     # less a little, so that rounding does not add a disc
-    gaps = math.ceil((front - back) / (SPACING * radius) - 1e-9)
+    gaps = math.ceil((front - back) / (spacing * radius) - 1e-9)
     return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])
 
 

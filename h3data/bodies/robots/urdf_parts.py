@@ -21,7 +21,6 @@ from h3data.mesh.mesh import Mesh
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
 """Kinds of files that a URDF may name; nothing else is ever opened for it."""
-PLANE_SIDE_M = 30.0
 PLANE_THICKNESS_M = 0.1
 
 
@@ -171,6 +170,7 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
             issues.faults.append(f"{where}, {name}: expected no negative number, got {value:g}")
         return value
 
+    plane_side_m = 30.0
     match shape.tag:
         case "box":
             x, y, z = read_numbers(shape.get("size"), 3, (0.0, 0.0, 0.0), f"{where}, size", issues)
@@ -184,7 +184,7 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
         case "capsule":
             return UrdfGeometry(kind="capsule", radius=number("radius"), length=number("length"))
         case "plane":
-            return UrdfGeometry(kind="box", size=(PLANE_SIDE_M, PLANE_SIDE_M, PLANE_THICKNESS_M))
+            return UrdfGeometry(kind="box", size=(plane_side_m, plane_side_m, PLANE_THICKNESS_M))
         case "mesh":
             sx, sy, sz = read_numbers(shape.get("scale"), 3, (1.0, 1.0, 1.0), f"{where}, scale", issues)
             if not (sx and sy and sz):

@@ -39,8 +39,6 @@ PAPER = Thresholds()
 
 MANY_ROWS = 3_000_000
 """Rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
-_QUANTITIES = ("dist_m", "reach_m", "facing_dot", "speed_m_s")
-_FLAGS = ("in_reach", "facing", "found", "near", "backs_up", "yields")
 _measured_rows = 0
 
 
@@ -119,7 +117,9 @@ def _compiled_series(
     from h3data.metrics.paper.encounter_kernel import fill_series
 
     rows = len(robot_pose)
-    quantities, flags = np.empty((len(_QUANTITIES), rows)), np.empty((len(_FLAGS), rows), np.bool_)
+    measured = ("dist_m", "reach_m", "facing_dot", "speed_m_s")
+    flagged = ("in_reach", "facing", "found", "near", "backs_up", "yields")
+    quantities, flags = np.empty((len(measured), rows)), np.empty((len(flagged), rows), np.bool_)
     fill_series(
         np.ascontiguousarray(robot_pose),
         np.ascontiguousarray(human_pose),
@@ -130,7 +130,7 @@ def _compiled_series(
         quantities,
         flags,
     )
-    return dict(zip((*_QUANTITIES, *_FLAGS), (*quantities, *flags), strict=True))
+    return dict(zip((*measured, *flagged), (*quantities, *flags), strict=True))
 
 
 def _components(pose: NDArray[np.float32]) -> NDArray[np.float64]:

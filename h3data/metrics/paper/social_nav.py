@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.metrics.episode import Notes
 from h3data.metrics.metric import NAN, Series
-from h3data.metrics.paper.encounter import encounter_series, found_series
+from h3data.metrics.paper.encounter import encounter_series
 from h3data.metrics.paper.protocol import SOCIAL_NAV_PROTOCOL, protocol_deviations
 from h3data.metrics.profile import GFX_REPLAY, Computed
 from h3data.metrics.requirements import find_agents
@@ -68,12 +68,6 @@ def l2_distance(recording: Recording, robot: int, human: int) -> NDArray[np.floa
     a = recording.agent_column(robot, "base_pose")[:, :3].astype(np.float64)
     b = recording.agent_column(human, "base_pose")[:, :3].astype(np.float64)
     return np.linalg.norm(a - b, axis=1).astype(np.float32)
-
-
-def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.bool_]:
-    """Returns the rows in which the robot is within 1-2 m of the human and faces them, shape [T]: the rows ``w`` counts."""
-    robot_pose, human_pose = (recording.agent_column(agent, "base_pose") for agent in (robot, human))
-    return found_series(robot_pose, human_pose, reach_distance(recording, robot, human))["found"]
 
 
 class _Occurrences(NamedTuple):

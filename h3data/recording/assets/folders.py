@@ -16,9 +16,6 @@ ASSETS_VARIABLE = "H3DATA_ASSETS"
 """Environment variable with the default asset folders, separated as in PATH."""
 
 
-_TELLING = re.compile(r"[0-9a-f]{12,}|\d{3,}|\d+-\d+")
-
-
 class AssetFolders:
     """The user's asset folders, searched in order; without any, those of the environment variable H3DATA_ASSETS.
 
@@ -108,7 +105,8 @@ def clean_path(uri: str) -> str:
 
 def _telling_enough(shared: Sequence[str]) -> bool:
     """Returns whether a shared end of two paths is enough to say that they mean the same file."""
-    if len(shared) >= 3 or any(_TELLING.search(name) for name in shared):
+    telling = re.compile(r"[0-9a-f]{12,}|\d{3,}|\d+-\d+")
+    if len(shared) >= 3 or any(telling.search(name) for name in shared):
         return len(shared) > 0
     # folders that every object of some dataset lies in tell nothing about which object it is
     generic = {"", "google_16k", "visual", "visuals", "collision", "mesh", "meshes", "assets", "textured", "objects"}

@@ -12,11 +12,6 @@ HANDLE = "handle:"
 _LISTED = 4
 
 
-def template_of(handle: str) -> str:
-    """The template's name in a handle: without the number of the instance and without folders."""
-    return handle.split("_:")[0].rsplit("/", 1)[-1] or "object"
-
-
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
     """The one file that makes the template ``name``: a config goes before a bare mesh; None if there is no file.
 

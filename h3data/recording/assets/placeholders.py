@@ -18,14 +18,6 @@ from h3data.mesh.primitives import capsule_mesh
 PlaceholderKind = Literal["stage", "human", "robot_link", "small_object", "furniture"]
 
 MAGENTA = (255, 0, 200)
-STRIPE_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
-    "stage": (150, 145, 150),
-    "human": (40, 90, 220),
-    "robot_link": (240, 190, 0),
-    "small_object": (0, 150, 60),
-    "furniture": (50, 45, 50),
-}
-"""The other colour of the stripes, by kind; one is always `MAGENTA`."""
 
 # Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between joints
 # of the Spot in a real recording (base to hip, hip to knee, ...); the thicknesses are guesses.
@@ -68,7 +60,15 @@ def placeholder_mesh(uri: str) -> Mesh:
     0.12 m.
     """
     kind = placeholder_kind(uri)
-    color = STRIPE_COLORS[kind]
+    # the other colour of the stripes, by kind; one is always `MAGENTA`
+    stripes: dict[PlaceholderKind, tuple[int, int, int]] = {
+        "stage": (150, 145, 150),
+        "human": (40, 90, 220),
+        "robot_link": (240, 190, 0),
+        "small_object": (0, 150, 60),
+        "furniture": (50, 45, 50),
+    }
+    color = stripes[kind]
     if kind == "human":
         return _figure(color)
     if kind == "stage":

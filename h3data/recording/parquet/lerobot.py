@@ -25,7 +25,6 @@ from h3data.recording.schema import layout_hash
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 FILE_MB = 128
-_COUNTED = pa.schema([("length", pa.int64()), ("tasks", pa.list_(pa.string())), ("task_index", pa.int64())])
 
 
 @dataclass
@@ -46,10 +45,11 @@ class Totals:
             FormatError: an episode table is damaged.
         """
         totals = cls()
+        counted = pa.schema([("length", pa.int64()), ("tasks", pa.list_(pa.string())), ("task_index", pa.int64())])
         for path in shard_files(root, "meta/episodes"):
             try:
                 # three columns of some hundred: statistics of each episode are most of the table
-                table = conform(pq.read_table(readable(path), columns=_COUNTED.names), _COUNTED)
+                table = conform(pq.read_table(readable(path), columns=counted.names), counted)
                 moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
                 totals.episodes += len(table)
                 totals.frames += sum(table["length"].to_pylist())

@@ -22,8 +22,6 @@ from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_path
 from h3data.recording.parquet.moments import QUANTILES, Moments
 from h3data.recording.storage import AnyPath, open_binary
 
-FEATURE = "observation.images."
-"""Prefix of a camera's feature, as LeRobot's policies expect it."""
 MAX_FILE_S = 1000.0
 """Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
 neighbouring float32 numbers are farther apart than that."""
@@ -45,7 +43,7 @@ class VideoFeature:
     @property
     def key(self) -> str:
         """Name of the feature."""
-        return FEATURE + self.camera
+        return f"observation.images.{self.camera}"
 
     def lerobot(self, fps: int) -> dict[str, Any]:
         """Return the entry of the video in ``features`` of info.json."""

@@ -137,9 +137,3 @@ def eye_level_camera(
         return float(np.quantile(depth, 0.15)) + 0.1 * float(depth.mean())
 
     return pinhole(width, height, hfov_deg=hfov_deg, name="eye", pose=max(poses, key=openness))
-
-
-def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """The view of a person standing in a room (see `eye_level_camera`), RGB [H, W, 3]."""
-    camera = eye_level_camera(scene, free, room=room)
-    return Renderer(render_scene(scene)).render(camera, outputs=("rgb",), samples=4)["rgb"]

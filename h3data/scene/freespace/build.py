@@ -25,9 +25,6 @@ from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_
 
 log = logging.getLogger(__name__)
 
-BUILD_VERSION = 4
-"""Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
-
 
 @dataclass(frozen=True)
 class BuildSpec:
@@ -77,7 +74,9 @@ def scene_key(
 ) -> str:
     """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
     used = choose_method(scene, method)
-    digest = hashlib.sha256(f"freespace {BUILD_VERSION} {used}".encode())
+    # part of every key: raise it when a builder changes its results, so that stale cache entries are not found
+    build_version = 4
+    digest = hashlib.sha256(f"freespace {build_version} {used}".encode())
     numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
     digest.update(np.array(numbers, np.float64).tobytes())
     for instance in scene.static_instances:

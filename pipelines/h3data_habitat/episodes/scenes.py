@@ -12,7 +12,7 @@ from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 from h3data.recording.task_episodes.stored_episodes import StoredEpisode
 from h3data.scene import scene_digest
 from h3data.scene.open import open_scene
-from h3data.scene.sources import SceneFile, SceneSource, SceneSpec, recorded_spec
+from h3data.scene.sources import SceneFile, SceneSource, SceneSpec, scene_generators
 from h3data_habitat.scene_files import dataset_at, find_scene_file, folders_of
 from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
 
@@ -98,3 +98,15 @@ def _home(source: Mapping[str, Any]) -> SceneSpec | None:
 @lru_cache(maxsize=128)
 def _digest(home: SceneSpec) -> str:
     return scene_digest(open_scene(home))
+
+
+def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
+    """The spec of a scene whose `Scene.source` is ``source``; None if no installed generator makes its kind.
+
+    Raises:
+        TypeError, H3DataError: the generator does not know such values.
+    """
+    generator = scene_generators().get(str(source.get("kind", "")))
+    if generator is None:
+        return None
+    return generator.Spec(**{name: value for name, value in source.items() if name != "kind"})

@@ -18,7 +18,7 @@ from h3data.formats import FORMATS, json_format
 from h3data.formats.builtin_formats import JSON
 from h3data.formats.source_file import decode_json
 from h3data.geometry import quat_sign_continuous
-from h3data.recording.assets.handles import HANDLE, template_of
+from h3data.recording.assets.handles import HANDLE
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 from h3data_habitat.hitl.agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data_habitat.hitl.scenes import Place
@@ -247,3 +247,8 @@ class HitlEpisode:
     def _housed(body: Body, renamed: Mapping[str, str], index: Mapping[str, int]) -> Body:
         """A body of the place, renamed if an object has its name."""
         return replace(body, name=f"scene/{body.name}" if body.name in index else body.name, asset=renamed[body.asset])
+
+
+def template_of(handle: str) -> str:
+    """The template's name in a handle: without the number of the instance and without folders."""
+    return handle.split("_:")[0].rsplit("/", 1)[-1] or "object"

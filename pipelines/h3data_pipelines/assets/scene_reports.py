@@ -141,8 +141,8 @@ def _same_object(first: str, second: str) -> bool:
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
     """Overlapping objects, and the number of further pairs that may overlap only because one is a filled hull."""
+    from h3data_pipelines.validation.overlaps import overlapping_instances
     from h3data_pipelines.validation.scenes import Problem, hull_fills_hollows
-    from sim_kinematic.contact import overlapping_instances
 
     hollow = {name for name, asset in scene.assets.items() if hull_fills_hollows(asset)}
     asset_of = {i.name: i.asset for i in scene.instances}

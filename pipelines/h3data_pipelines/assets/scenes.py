@@ -12,17 +12,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
-from h3data.commands.command import (
-    AssetsOption,
-    ForceFlag,
-    Group,
-    JsonFlag,
-    MissingFlag,
-    Outcome,
-    StrictFlag,
-    claim_file,
-)
+from h3data.commands.command import AssetsOption, ForceFlag, Group, JsonFlag, MissingFlag, Outcome, claim_file
 from h3data.errors import InputError, SceneError
 from h3data.progress import progress
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RigidObject
@@ -50,6 +42,8 @@ from h3data_pipelines.assets.scene_reports import (
     text_table,
     validate_scene,
 )
+
+StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 
 _PARKED_M = 5.0
 """Depth below the floor at which the target object of a social-navigation episode lies."""
@@ -143,7 +137,7 @@ class ScenesShow:
     def run(self) -> Outcome:
         """Renders the scene to a PNG file."""
         from h3data.render import write_png
-        from h3data.render.sheets.scene_map import eye_level_picture, plan_picture
+        from h3data.render.sheets.scene_map import plan_picture
         from h3data_pipelines.assets.scene_plan import scene_map
 
         named = _one(self.scene, self.assets, self.strict, self.allow_missing)
@@ -517,3 +511,12 @@ def _png(path: Path, *, force: bool) -> Path:
     if path.suffix.lower() != ".png":
         raise InputError(f"Expected a file name that ends in .png, got: {path}", code="H3-BODY-146")
     return claim_file(path, force=force)
+
+
+def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
+    """View of a person who stands in a room, RGB [H, W, 3]."""
+    from h3data.render.renderer import Renderer
+    from h3data.render.sheets.scene_map import eye_level_camera, render_scene
+
+    camera = eye_level_camera(scene, free, room=room)
+    return Renderer(render_scene(scene)).render(camera, outputs=("rgb",), samples=4)["rgb"]

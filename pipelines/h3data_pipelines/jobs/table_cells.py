@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from h3data.metrics import Metric, Summary
-from h3data.metrics.table import summarize
+from h3data.metrics.table import summarize_all
 
 NOTHING = "No episode could be played: there is no table."
 SEEDS_HEAD = "; of seeds mean ± standard deviation"
@@ -22,7 +22,8 @@ SEEDS_HEAD = "; of seeds mean ± standard deviation"
 
 def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
     """Returns the mean of the defined values with its 95% interval; None stands for undefined."""
-    return summarize(metric, np.array([np.nan if v is None else v for v in values], np.float64))
+    defined = np.array([np.nan if v is None else v for v in values], np.float64)
+    return summarize_all([metric], {metric.name: defined})[metric.name]
 
 
 def cell_dict(cell: Summary) -> dict[str, float | None]:

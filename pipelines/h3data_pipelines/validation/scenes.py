@@ -1,6 +1,6 @@
 """Faults of a scene that matter to agents: cut-off floor, tight passages, floating objects, receptacles out of reach.
 
-Objects inside each other need FCL: see `sim_kinematic.contact.overlapping_instances`.
+Objects inside each other need FCL: see `h3data_pipelines.validation.overlaps`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ from typing import Any
 from h3data.errors import InputError
 from h3data_training.envs.task_torch_env import PICTURED, TaskTorchEnv
 from h3data_training.envs.torch_env import Tensors
-from h3data_training.torch.social_nav import SocialNavTensors
-from sim_kinematic.sensing.table import ON_DEVICES, TABLE, Sensor
+from h3data_training.torch.social_nav import ON_DEVICES, SocialNavTensors
+from sim_kinematic.sensing.table import TABLE, Sensor
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task

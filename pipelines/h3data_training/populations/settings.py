@@ -9,11 +9,14 @@ from typing import Any
 from h3data.errors import InputError, suggest
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WALKERS
-from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, PIXELS, WITHOUT_OTHER
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, OF_OTHER, PIXELS
 from sim_kinematic.policies.rearrange import POPULATIONS
 from sim_kinematic.policies.visual_policy import VisualPolicy
 from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+
+WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
+"""Observations of a chooser without the paper's humanoid GPS."""
 
 ROBOT = "robot"
 """The learner that every population has."""

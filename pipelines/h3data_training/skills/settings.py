@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data_training.settings import Settings
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS
 from sim_kinematic.sensing.table import OF_SKILLS
-from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, check_skill
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
@@ -173,3 +173,14 @@ def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
         )
     assert set(RECIPES[name]) == set(SKILL_NAMES)
     return replace(RECIPES[name][check_skill(skill)], **{k: v for k, v in changes.items() if v is not None})
+
+
+def check_skill(skill: str) -> Skill:
+    """Return the name of a skill.
+
+    Raises:
+        InputError: There is no such skill.
+    """
+    if skill not in SKILL_NAMES:
+        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
+    return skill  # type: ignore[return-value]

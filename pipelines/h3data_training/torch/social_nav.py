@@ -13,11 +13,14 @@ from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import ShortestPath
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.sensing.table import ON_DEVICES
+from sim_kinematic.sensing.table import FOLLOWER, LIDARS
 from sim_kinematic.tasks.episode import StepOutcome
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import PaperReward
 from sim_kinematic.tasks.social_nav import SocialNav
+
+ON_DEVICES = (*FOLLOWER, *LIDARS)
+"""Observations of the robot of social navigation in worlds on a device."""
 
 
 class SocialNavTensors(TaskTensors):
@@ -57,7 +60,7 @@ class SocialNavTensors(TaskTensors):
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Returns the observations of `sim_kinematic.sensing.table.ON_DEVICES`, float32 [W, n] each.
+        """Returns the observations of `ON_DEVICES`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.

@@ -63,8 +63,6 @@ OBSERVATIONS = (
 """Observations of a chooser, in this order (`sim_kinematic.sensing.table.SENSES`)."""
 OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
 """Observations that tell where the other agent is."""
-WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
-"""Observations of a chooser without the paper's humanoid GPS."""
 PIXELS = (
     "arm_depth",
     DETECTOR,

@@ -147,12 +147,6 @@ ORACLE_RULES = RearrangeSpec(
 """Rules for the paper's robot and person with oracle skills, as `h3data.make("rearrange", device=...)` plays them."""
 
 
-def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
-    """Rules with those for oracle skills taken from `ORACLE_RULES`."""
-    fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
-    return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
-
-
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
     """The rules of an episode that is sampled in a home now: its floor moves if something there opens."""
     return replace(spec, floor_moves=bool(scene.articulations))

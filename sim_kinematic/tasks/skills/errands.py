@@ -12,7 +12,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.oracle.actors import SubGoals
-from sim_kinematic.agents.oracle.ways import PathTable, paths_to
+from sim_kinematic.agents.oracle.ways import paths_to
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
@@ -102,9 +102,3 @@ def _nearest(floor: FreeSpace, tried: list[Stands], start: Array) -> Array | Non
         if k >= 0:
             return stands[k, :2].copy()
     return None
-
-
-def floor_paths(episode: RearrangeEpisode) -> list[PathTable]:
-    """Return the shortest paths to the floor nearest to the start of each object, then to each goal."""
-    points = [target.start[:3] for target in episode.targets] + [target.goal for target in episode.targets]
-    return [paths_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]

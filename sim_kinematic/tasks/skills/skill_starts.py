@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
@@ -48,17 +47,6 @@ class SkillStart:
     heading: float
     objects: Array
     """Positions of the objects, [K, 3] [m]; that of an object in the hand has no meaning."""
-
-
-def check_skill(skill: str) -> Skill:
-    """Return the name of a skill.
-
-    Raises:
-        InputError: There is no such skill.
-    """
-    if skill not in SKILL_NAMES:
-        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
-    return skill  # type: ignore[return-value]
 
 
 def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:

@@ -16,13 +16,13 @@ pytest.importorskip("fcl")
 
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.rearrange.observations import OBSERVED, OF_PATHS, View, observed  # noqa: E402
-from h3data_training.torch.social_nav import SocialNavTensors  # noqa: E402
+from h3data_training.torch.social_nav import ON_DEVICES, SocialNavTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.motion.state import NOBODY  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
 from sim_kinematic.policies.skills.observations import observe  # noqa: E402
 from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES, OF_COMMANDS, Encoding  # noqa: E402
-from sim_kinematic.sensing.table import AHEAD_M, LIDARS, OF_SKILLS, ON_DEVICES, TABLE, Pose  # noqa: E402
+from sim_kinematic.sensing.table import AHEAD_M, LIDARS, OF_SKILLS, TABLE, Pose  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
 from tests.training.torch import test_rearrange, test_skills, test_social_nav  # noqa: E402

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.metrics import find_agents
+from h3data.metrics.paper.encounter import found_series
 from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
-from h3data.metrics.paper.social_nav import following_rows, l2_distance
+from h3data.metrics.paper.social_nav import l2_distance, reach_distance
 from h3data.recording.live_input import AWAY, live_inputs
 from h3data.recording.log_lines import LogLine, log_lines
 from h3data.recording.records import Recording
@@ -228,3 +229,9 @@ def log_latency(sink: Sink, recording: Recording) -> tuple[str, ...]:
             sink.columns(f"latency/{name}", None, rr.Scalars.columns(scalars=player.rtt_ms.astype(np.float64)))
             paths.append(sink.path(f"latency/{name}"))
     return tuple(paths)
+
+
+def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.bool_]:
+    """Returns the rows in which the robot is within 1-2 m of the human and faces them, shape [T]: the rows ``w`` counts."""
+    robot_pose, human_pose = (recording.agent_column(agent, "base_pose") for agent in (robot, human))
+    return found_series(robot_pose, human_pose, reach_distance(recording, robot, human))["found"]

@@ -19,12 +19,12 @@ from h3data.geometry import Array
 from h3data.scene import Scene
 from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.step import Floor, refuse_stairs
-from sim_kinematic.agents.oracle.ways import PathTable
+from sim_kinematic.agents.oracle.ways import PathTable, paths_to
 from sim_kinematic.policies.rearrange import partner_plan, planner
 from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.skills.errands import errands_of, floor_paths
+from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
@@ -270,3 +270,9 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
                 code="H3-TRAIN-064",
             )
         refuse_stairs([episode.free])
+
+
+def floor_paths(episode: RearrangeEpisode) -> list[PathTable]:
+    """Return the shortest paths to the floor nearest to the start of each object, then to each goal."""
+    points = [target.start[:3] for target in episode.targets] + [target.goal for target in episode.targets]
+    return [paths_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]
