@@ -81,10 +81,10 @@ def test_compiling_is_announced_once(tmp_path: Path):
 
 def test_the_renderer_stamps_cover_the_intrinsics():
     for module, inside in {
-        "h3data.render.raster.raster": {"h3data.render.raster.raster_simd", "h3data.render.raster.vectors"},
+        "h3data.render.raster.raster": {"h3data.render.raster.raster_simd", "h3data.kernels.vectors"},
         "h3data.render.shade.shading": {
             "h3data.render.shade.occlusion_simd",
-            "h3data.render.raster.vectors",
+            "h3data.kernels.vectors",
             "h3data.render.raster.raster",
         },
         "sim_kinematic.motion.step": {"h3data.scene.freespace._sdf", "sim_kinematic.motion.spec"},

@@ -94,10 +94,8 @@ def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArra
         if a.size
     ]
     joined = np.concatenate(parts, axis=1) if parts else np.empty((steps, 0), np.uint8)
-    whole, width = joined.tobytes(), joined.shape[1]
-    out = np.empty(steps, np.uint64)
-    digest = int(previous).to_bytes(8, "little")
-    for k in range(steps):
-        digest = hashlib.blake2b(digest + whole[k * width : (k + 1) * width], digest_size=8).digest()
-        out[k] = int.from_bytes(digest, "little")
-    return out
+    whole, width, blake2b = joined.tobytes(), joined.shape[1], hashlib.blake2b
+    digests = [int(previous).to_bytes(8, "little")]
+    for k in range(0, steps * width, width) if width else [0] * steps:
+        digests.append(blake2b(digests[-1] + whole[k : k + width], digest_size=8).digest())
+    return np.frombuffer(b"".join(digests[1:]), "<u8").astype(np.uint64)

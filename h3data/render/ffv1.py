@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
-from h3data.render.raster.vectors import INT, INT64, LANES, intrinsic
+from h3data.kernels.vectors import INT, INT64, LANES, intrinsic
 
 _THRESHOLDS = 1, 4
 """Differences between neighbours from which on a level is 1 and 2; a context has three levels."""

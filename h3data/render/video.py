@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
 from h3data.kernels import kernel, kernel_part
+from h3data.kernels.vectors import intrinsic
 from h3data.render.ffv1 import Ffv1Encoder
-from h3data.render.raster.vectors import intrinsic
 
 Codec = Literal["h264", "av1", "ffv1"]
 

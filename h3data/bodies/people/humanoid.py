@@ -191,12 +191,16 @@ class Humanoid:
         return self.gaits.stride_m(speed_mps)
 
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
-        """Return world matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and the result of `clip_pose`."""
+        """Return world matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and the result of `clip_pose`.
+
+        Of ``quats`` of the first J joints alone, the result is [T, J, 4, 4].
+        """
         from h3data.bodies.people.kernels.clips import joint_frames
 
         base = _doubles(base_pose).reshape(-1, 7)
-        frames = np.empty((len(quats), JOINT_COUNT, 4, 4))
-        joint_frames(base, _doubles(quats), _doubles(pelvis), self.joint_offsets, PARENT_ARRAY, frames)
+        frames = np.empty((*quats.shape[:2], 4, 4))
+        parents = PARENT_ARRAY[: quats.shape[1]]
+        joint_frames(base, _doubles(quats), _doubles(pelvis), self.joint_offsets, parents, frames)
         return frames
 
     def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:

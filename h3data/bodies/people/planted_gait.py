@@ -123,11 +123,14 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
     return states
 
 
-def pose_planted(tables: GaitTables, states: Array) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K]."""
+def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT) -> tuple[Array, Array]:
+    """Local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
+
+    The first joints alone take less time: 16 are legs, trunk and head, without which the kernel cannot do.
+    """
     from h3data.bodies.people.kernels.planted import pose_gaits
 
-    quats, pelvis = np.empty((len(states), JOINT_COUNT, 4)), np.empty((len(states), 3))
+    quats, pelvis = np.empty((len(states), joints, 4)), np.empty((len(states), 3))
     pose_gaits(tables, np.ascontiguousarray(states, np.float64), quats, pelvis)
     return quats, pelvis
 

@@ -4,14 +4,16 @@ The one definition of "found" for the paper's metrics and whatever follows it; h
 `h3data_habitat.metrics.stats`.
 """
 
-# NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a sixth of the
+# NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a tenth of the
 # time, where numba is there anyway or so many rows are measured that it is worth its import. Values are the same to the
 # last bit.
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,23 +116,28 @@ def _compiled_series(
     starts: NDArray[np.int64] | int,
     limits: Thresholds,
 ) -> dict[str, NDArray]:
-    from h3data.metrics.paper.encounter_kernel import fill_series
-
     rows = len(robot_pose)
     measured = ("dist_m", "reach_m", "facing_dot", "speed_m_s")
     flagged = ("in_reach", "facing", "found", "near", "backs_up", "yields")
     quantities, flags = np.empty((len(measured), rows)), np.empty((len(flagged), rows), np.bool_)
-    fill_series(
+    _kernel()(
         np.ascontiguousarray(robot_pose),
         np.ascontiguousarray(human_pose),
         np.ascontiguousarray(reach_m, None if reach_m.dtype == np.float32 else np.float64),
         np.ascontiguousarray(time_ns, np.int64),
-        np.atleast_1d(starts) if rows else np.zeros(0, np.int64),
+        np.array(starts, np.int64, ndmin=1),
         (limits.near_m, limits.far_m, limits.facing, limits.avoid_m, limits.yield_m_s, limits.still_m_s),
         quantities,
         flags,
     )
     return dict(zip((*measured, *flagged), (*quantities, *flags), strict=True))
+
+
+@cache
+def _kernel() -> Callable[..., None]:
+    from h3data.metrics.paper.encounter_kernel import fill_series
+
+    return fill_series
 
 
 def _components(pose: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -2,6 +2,6 @@
 
 - `cpu`: the back end; `raster`: one image from frustum culling to the visibility buffer; `raster_read`: images from it
 - `raster_draw` (clusters, occlusion culling), `raster_fill` (triangles), `raster_cutouts` (triangles with holes)
-- `raster_simd`, `vectors`: the inner steps as 8-wide LLVM vectors
+- `raster_simd`: the inner steps as 8-wide LLVM vectors (`h3data.kernels.vectors`)
 - `clusters`: meshes cut into clusters of triangles, its input
 """

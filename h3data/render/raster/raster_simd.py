@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, opaque, splat, store
+from h3data.kernels.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, opaque, splat, store
 
 NEAR_M = 0.02
 """Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""

@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from h3data.render.raster.vectors import FLOAT, FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
+from h3data.kernels.vectors import FLOAT, FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,

@@ -7,7 +7,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from h3data.render.raster.vectors import (
+from h3data.kernels.vectors import (
     FLOAT,
     FLOAT8,
     INT,

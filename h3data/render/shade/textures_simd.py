@@ -6,7 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from h3data.render.raster.vectors import FLOAT, FLOAT8, INT, INT8, INT64, LANES, Vec, fma, load, splat
+from h3data.kernels.vectors import FLOAT, FLOAT8, INT, INT8, INT64, LANES, Vec, fma, load, splat
 
 OFFSET, WIDTH, HEIGHT, FOLLOWING = range(4)
 """Columns of a level (int32): its first word, its size in texels, and the number of coarser levels that follow."""

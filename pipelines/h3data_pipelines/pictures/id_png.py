@@ -17,7 +17,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
-from h3data.render.raster.vectors import INT64, intrinsic
+from h3data.kernels.vectors import INT64, intrinsic
 
 _UP = 2
 """Number of the filter, the first byte of each row."""

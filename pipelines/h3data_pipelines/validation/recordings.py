@@ -15,10 +15,12 @@ from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 from shapely import intersects, linestrings, union_all
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.planted_gait import on_stairs, pose_planted
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.bodies.people.soles import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
 from h3data.recording import Agent, AssetRef, Body, Recording, state_hash
@@ -59,6 +61,7 @@ _SCENES_KEPT = 8
 
 _AGENT = re.compile(r"agent_(\d+)\.(\w+)$")
 _POSES = ("base_pose", "root_pose")
+_HEAD = JOINT_INDEX["head"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,21 +113,11 @@ def _schema(rec: Recording) -> Iterator[Finding]:
             yield wrong(name, f"refers to agent {match[1]}, but there are {len(rec.agents)} agents")
             continue
         agent = rec.agents[int(match[1])]
-        kinds: dict[str, tuple[str, tuple[int | None, ...], tuple[float, float] | None]] = {
-            "base_pose": ("float32", (7,), None),
-            "root_pose": ("float32", (7,), None),
-            "joint_quat": ("float32", (54, 4), None),
-            "joint_pos": ("float32", (len(agent.joint_names) or None,), None),
-            "action": ("float32", (len(agent.action_names) or None,), None),
-            "grasp_body": ("int32", (), (-1, len(rec.bodies) - 1)),
-            "skill": ("int32", (), (-1, len(agent.skill_names) - 1)),
-            "motion_id": ("int32", (), (-1, len(agent.motion_names) - 1)),
-            "motion_phase": ("float32", (), (0, 1)),
-            "motion_blend": ("float32", (), (0, 1)),
-            "motion_arms": ("float32", (2,), (0, 1)),
-            "motion_seat": ("float32", (2,), (0, 2)),
-        }
-        kind, shape, limits = kinds.get(match[2], (array.dtype.name, array.shape[1:], None))
+        kind, shape, limits = _KINDS.get(match[2], (array.dtype, array.shape[1:], None))
+        names = {"joint_pos": agent.joint_names, "action": agent.action_names}.get(match[2], ())
+        shape = (len(names),) if names else shape
+        of = {"grasp_body": rec.bodies, "skill": agent.skill_names, "motion_id": agent.motion_names}.get(match[2])
+        limits = limits if of is None else (-1, len(of) - 1)
         if not _is(array, kind, shape):
             yield wrong(name, _expected(array, kind, shape))
         elif limits is not None and len(array) and (outside := (array < limits[0]) | (array > limits[1])).any():
@@ -181,16 +174,33 @@ def _is_json(text: str) -> bool:
     return True
 
 
-def _is(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> bool:
-    fits = len(array.shape) == len(shape) + 1
+_POSE: tuple[DTypeLike, tuple[int | None, ...], None] = (np.dtype("float32"), (7,), None)
+_KINDS: dict[str, tuple[DTypeLike, tuple[int | None, ...], tuple[float, float] | None]] = {
+    "base_pose": _POSE,
+    "root_pose": _POSE,
+    "joint_quat": (np.dtype("float32"), (54, 4), None),
+    "joint_pos": (np.dtype("float32"), (None,), None),
+    "action": (np.dtype("float32"), (None,), None),
+    "grasp_body": (np.dtype("int32"), (), None),
+    "skill": (np.dtype("int32"), (), None),
+    "motion_id": (np.dtype("int32"), (), None),
+    "motion_phase": (np.dtype("float32"), (), (0, 1)),
+    "motion_blend": (np.dtype("float32"), (), (0, 1)),
+    "motion_arms": (np.dtype("float32"), (2,), (0, 1)),
+    "motion_seat": (np.dtype("float32"), (2,), (0, 2)),
+}
+"""Type, shape of a row, and limits of each column of an agent, as far as they are the same for all agents."""
+
+
+def _is(array: NDArray[Any], kind: DTypeLike, shape: tuple[int | None, ...]) -> bool:
     return (
-        array.dtype == np.dtype(kind)
-        and fits
+        array.dtype == kind
+        and len(array.shape) == len(shape) + 1
         and all(n in (None, m) for n, m in zip(shape, array.shape[1:], strict=True))
     )
 
 
-def _expected(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> str:
+def _expected(array: NDArray[Any], kind: DTypeLike, shape: tuple[int | None, ...]) -> str:
     rows = ", ".join(["T", *("any" if n is None else str(n) for n in shape)])
     return f"expected {kind} [{rows}], got {array.dtype} {list(array.shape)}"
 
@@ -341,10 +351,22 @@ class _Poses(PosedRecording):
         return _scene_of(glb)
 
     def _add_body(self, body: Body, ref: AssetRef) -> None:
+        kind, _, name = ref.uri.partition(":")
+        if kind == "scene" and ref.color is None and self.scene is not None and name in self.scene.assets:
+            return  # as are most bodies
         if ref.name not in self._assets:
             self._assets[ref.name] = self.library.mesh(ref)
         if self._assets[ref.name] is None:
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
+
+    def leg_frames(self, agent: int, body: Humanoid, steps: NDArray[np.integer]) -> NDArray[np.floating]:
+        """World matrices of the joints of a person's legs, shape [T, 2, 4, 4, 4]; see `LEG_JOINTS`."""
+        planted = not any(f"agent_{agent}.{name}" in self.recording.columns for name in ("joint_quat", "motion_seat"))
+        if not planted or self._gestures_of(agent) is not None:
+            return self.joint_matrices(agent, steps)[:, LEG_JOINTS]
+        states = self._gait_of(agent, body)[steps]  # arms, which may be drawn in, do not move legs
+        quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), states, joints=_HEAD + 1)
+        return body.joint_matrices(self.recording.agent_column(agent, "base_pose")[steps], quats, pelvis)[:, LEG_JOINTS]
 
     def _add_agent(self, index: int, agent: Agent) -> None:
         model = self.model(index)
@@ -416,7 +438,7 @@ def _feet(replay: _Poses, agent: int) -> Iterator[Finding]:
     parts = []
     for start in range(0, len(rec), _FEET_CHUNK):
         steps = np.arange(start, min(start + _FEET_CHUNK, len(rec)))
-        parts.append(sole_points(body, replay.joint_matrices(agent, steps)[:, LEG_JOINTS]))
+        parts.append(sole_points(body, replay.leg_frames(agent, body, steps)))
     points = np.concatenate(parts)  # [T, 2 feet, 3 points, xyz]
     if len(replay.heights):
         points[..., 1] -= floor_heights(replay.heights, 0.0, points[..., ::2], treads=True)

@@ -1,4 +1,4 @@
-"""Eight float32 at a time in numba: a small algebra that emits ``<8 x float>`` LLVM IR inside intrinsics.
+"""Eight numbers at a time in numba: a small algebra that emits ``<8 x float>`` LLVM IR, or ``<8 x double>``, inside intrinsics.
 
 It depends neither on the auto-vectoriser nor on a C compiler; LLVM lowers the vectors to whatever the machine offers.
 """
@@ -26,6 +26,7 @@ INT = ir.IntType(32)
 INT64 = ir.IntType(64)
 FLOAT8 = ir.VectorType(FLOAT, LANES)
 INT8 = ir.VectorType(INT, LANES)
+DOUBLE8 = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:
@@ -55,13 +56,13 @@ class Mask:
 
 
 class Vec:
-    """Eight float32 with arithmetic; plain numbers are broadcast."""
+    """Eight float32, or eight float64, with arithmetic; plain numbers are broadcast."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
 
     def _lift(self, other: Vec | float) -> Any:
-        return other.value if isinstance(other, Vec) else ir.Constant(FLOAT8, [float(other)] * LANES)
+        return other.value if isinstance(other, Vec) else ir.Constant(self.value.type, [float(other)] * LANES)
 
     def _binary(self, name: str, other: Vec | float) -> Vec:
         return Vec(self.builder, getattr(self.builder, name)(self.value, self._lift(other)))
@@ -103,8 +104,9 @@ class Vec:
 
     def unary(self, name: str) -> Vec:
         """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
-        signature = ir.FunctionType(FLOAT8, [FLOAT8])
-        function = cgutils.get_or_insert_function(self.builder.module, signature, f"llvm.{name}.v8f32")
+        kind = self.value.type
+        name = f"llvm.{name}.v8f{32 if kind == FLOAT8 else 64}"
+        function = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(kind, [kind]), name)
         return Vec(self.builder, self.builder.call(function, [self.value]))
 
 
