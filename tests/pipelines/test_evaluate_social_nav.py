@@ -86,6 +86,15 @@ def test_bad_options_are_refused(
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize("who", ["policies", "partners"])
+def test_every_policy_and_partner_plays(who: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = () if who == "policies" else ("--policies", "still", "--partners", "all")
+    rules = ("--scenes", "h3-homes/val#1", "--max-steps", "2", "--episodes", "1", "--json", *one)
+    result = run_json(capsys, "evaluate", "social_nav", *rules, "-o", tmp_path / "table")
+    assert result["failed"] == []
+    assert ("wander" in {cell["policy"] for cell in result["cells"]}) == (who == "policies")
+
+
 def test_all_may_stand_beside_other_names() -> None:
     there = ("complement", "still")
     assert chosen_names(["all"], there) == there

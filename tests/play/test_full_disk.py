@@ -145,6 +145,7 @@ def test_a_game_waits_for_space_and_goes_on(tmp_path: Path, disk: Disk) -> None:
     press(worker, '{"k":"leave"}')
     (over,) = letters.of("over")
     assert (over["ended"], over["steps"], over["path"]) == ("closed", steps + 30, str(tmp_path / "000000.mcap"))
+    assert set(over["texts"].values()) == {"The episode has been ended."}
     assert whole(tmp_path / "000000.mcap", steps + 30)
     last = [event.payload for event in read_mcap(tmp_path / "000000.mcap").inputs if event.kind == "client"][-2]
     assert '"f":0.299' in last, "which keys are down is known"

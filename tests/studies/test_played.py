@@ -141,7 +141,7 @@ def test_the_page_groups_recordings_by_condition_and_names_no_folder_of_the_mach
     html = (tmp_path / "out" / "report.html").read_text()
     assert sorted(re.findall(r"<li>(\w+) \(\d episodes?\)", html)) == ["solo", "still"]
     assert "CR: collision rate" in html.replace("Collision", "collision")
-    assert "estimated means with 95 % intervals" in html
+    assert "estimated means with 95% intervals" in html
     assert "Paired differences</h2>" not in html, "people's single recordings are no pairs"
     assert "h3data view recordings/" in html
     for file in (tmp_path / "out").iterdir():

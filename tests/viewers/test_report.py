@@ -173,6 +173,7 @@ def test_the_page_needs_nothing_else(report: Report) -> None:
     assert "@import" not in report.html
     assert len(page.of("script")) == 1
     assert len(report.html) < 1_000_000
+    assert not re.search(r"[0-9] %", page.text), "percentages as in English"
 
 
 def test_links_and_drawings_point_to_what_is_there(report: Report) -> None:

@@ -576,8 +576,10 @@ class Worker:
     def _say_over(self, running: Running) -> None:
         game, recording, steps = running.game, running.recording, len(running.game.session.recorder)
         del self.games[running.key]
+        ended = recording.episode.info["ended"] if recording is not None else "closed"
+        game.app.ended = game.app.ended or ended  # who leaves ends the recording, not the app
         over = {
-            "ended": recording.episode.info["ended"] if recording is not None else "closed",
+            "ended": ended,
             "steps": steps,
             "slipped": game.slipped,
             "remarks": game.remarks,

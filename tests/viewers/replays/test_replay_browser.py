@@ -46,6 +46,7 @@ def test_a_walk_plays_from_disk_and_is_used_by_keys_alone(walk: Recording, tmp_p
     assert said["help"]
     assert len(said["cameras"]) == 6
     assert all(said["fits"].values()), said["fits"]
+    assert said["covered"] == []
     assert {path.name for path in tmp_path.glob("*.png")} >= {"seen_wide.png", "seen_zoomed.png", "seen_phone.png"}
 
 

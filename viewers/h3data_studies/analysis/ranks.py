@@ -51,7 +51,7 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
         key=f"ranks_{runs[0].task}",
         title="Automatic and human evaluation",
         caption=f"Agreement of the order of {', '.join(shown[k] for k in shared)} by their means in automatic episodes and in "
-        "those of participants: 1 same order, −1 reversed; 95 % bootstrap interval over episodes.",
+        "those of participants: 1 same order, −1 reversed; 95% bootstrap interval over episodes.",
         name_head="Metric",
         columns=tuple(
             Column(head=head) for head in ("Kendall's τ", "Spearman's ρ", "Order, automatic", "Order, with people")

@@ -90,7 +90,7 @@ def _means_table(task: str, analysis: StudyAnalysis, profile: Profile, layout: S
     return Table(
         key=_key_of("hitl", task),
         title="Human-in-the-loop study",
-        caption=f"Human-in-the-loop study: estimated means over {analysis.participants} participants with 95 % intervals, by "
+        caption=f"Human-in-the-loop study: estimated means over {analysis.participants} participants with 95% intervals, by "
         f"the metrics profile {profile.name}.",
         name_head="Condition",
         columns=tuple(metric_column(metric) for metric in analysis.metrics),

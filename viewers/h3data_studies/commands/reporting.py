@@ -444,7 +444,7 @@ def _forms_table(design: Design, people: Sequence[Participant]) -> Table | None:
         title="Questionnaires",
         name_head="Condition",
         columns=tuple(Column(head=form) for form in forms),
-        caption="Mean score of each questionnaire over participants with 95 % intervals; reversed items are turned round.",
+        caption="Mean score of each questionnaire over participants with 95% intervals; reversed items are turned round.",
         sections=(Section(title="", rows=rows),),
         notes=tuple(notes),
     )

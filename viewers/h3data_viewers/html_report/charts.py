@@ -110,7 +110,7 @@ def mean_charts(
             0,
             _highest(metric, [v for mean, _, upper in means.values() for v in (mean, upper)]),
             alt=f"{metric.title}, estimated means: {alt}",
-            caption=", estimated means with 95 % intervals",
+            caption=", estimated means with 95% intervals",
         )
         for k, condition in enumerate(conditions):
             colour = series_class(names.index(condition) if condition in names else k)

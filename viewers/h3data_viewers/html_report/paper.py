@@ -59,7 +59,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
     return Table(
         key=SOCIAL_NAV_PROFILE.tasks[0],
         title="Social navigation",
-        caption="Social navigation. Mean over episodes with 95 % interval (Wilson for S and CR, else bootstrap)."
+        caption="Social navigation. Mean over episodes with 95% interval (Wilson for S and CR, else bootstrap)."
         + _of_seeds(runs),
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
@@ -144,7 +144,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         key=REARRANGEMENT_PROFILE.tasks[0],
         title="Social rearrangement",
         caption="Social rearrangement, with the training population and with unseen partners. SR and RE in %. "
-        "Mean over episodes with 95 % interval." + _of_seeds(runs),
+        "Mean over episodes with 95% interval." + _of_seeds(runs),
         name_head="Method",
         columns=tuple(
             metric_column(metrics[name], group=heads[population]) for population in populations for name in shown
@@ -167,7 +167,7 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
     return Table(
         key=runs[0].task,
         title=title,
-        caption=f"{title}, by the metrics profile {profile.name}. Mean over episodes with 95 % interval."
+        caption=f"{title}, by the metrics profile {profile.name}. Mean over episodes with 95% interval."
         + _of_seeds(runs),
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
@@ -212,7 +212,7 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
     return Table(
         key=f"paired_{place + 1}",
         title=f"{first.name} against {second.name}",
-        caption=f"{first.name} minus {second.name} on the same {len(found.episode_ids)} episodes; 95 % bootstrap interval "
+        caption=f"{first.name} minus {second.name} on the same {len(found.episode_ids)} episodes; 95% bootstrap interval "
         "of the mean difference, p adjusted for all metrics (Holm); bold: below 0.05.",
         name_head="Metric",
         columns=(

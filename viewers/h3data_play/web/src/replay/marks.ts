@@ -2,7 +2,7 @@
 
 import { BufferAttribute, BufferGeometry, DoubleSide, Mesh, MeshBasicMaterial, Vector3, type PerspectiveCamera } from "three";
 import type { World } from "../scene/world.ts";
-import { FloorRing, Labels, type Mark } from "../screen/markers.ts";
+import { FloorRing, Labels, type Box, type Mark } from "../screen/markers.ts";
 import { BAD, OTHER, ROBOT, thingColor, thingLetter, YOU } from "../screen/palette.ts";
 import type { Episode } from "./episode.ts";
 import { Fan } from "./scans.ts";
@@ -23,6 +23,9 @@ const SPOKEN_S = 4;
 const LETTER_S = 0.06;
 const MOST_RINGS = 80;
 const AT_GOAL_M = 0.3;
+/** Width of bodies that labels keep off, m; bodies higher than this share of the picture can be seen beside them. */
+const BODY_M = { robot: 0.8, human: 0.5 };
+const CLOSE = 0.4;
 
 /** A colour for each agent that people with any colour vision tell apart. */
 export function agentColors(kinds: ("robot" | "human")[]): string[] {
@@ -50,7 +53,7 @@ export class Marks {
     private readonly colors: string[],
   ) {
     const { about } = episode;
-    this.labels = new Labels(layer);
+    this.labels = new Labels(layer, 0.55);
     this.paths = episode.bases.map((base, k) => {
       const path = new Path(base.values, about.stage.agents[k]!.kind === "human", OVER_FLOOR_M + 0.004 * k, colors[k]!);
       world.scene.add(path.ahead, path.behind);
@@ -95,7 +98,19 @@ export class Marks {
       if (seconds - this.episode.times[contact.step]! < NAMED_S) add(new Vector3(x, y + 1.1, z), contact.text, "!", BAD);
     });
     if (this.shown.names) marks.unshift(...this.speech(row, seconds, camera));
-    this.labels.show(marks, camera, width, height, []);
+    this.labels.show(marks, camera, width, height, this.bodies(row, viewed, camera, width, height));
+  }
+
+  /** The parts of the picture in which agents are, which no label covers. */
+  bodies(row: number, viewed: number, camera: PerspectiveCamera, width: number, height: number): Box[] {
+    return this.episode.about.stage.agents.flatMap((agent, k): Box[] => {
+      const { x, y, z } = this.episode.base(k, row);
+      const [feet, head] = [y, y + agent.height].map((at) => new Vector3(x, at, z).project(camera));
+      const high = ((head!.y - feet!.y) / 2) * height;
+      if (k === viewed || !Number.isFinite(x) || feet!.z > 1 || !(high > 0 && high < CLOSE * height)) return [];
+      const wide = (high * BODY_M[agent.kind]) / agent.height;
+      return [{ left: ((head!.x + 1) * width - wide) / 2, top: ((1 - head!.y) / 2) * height, width: wide, height: high }];
+    });
   }
 
   /** Bubbles over the heads of those who have just said something. */

@@ -68,7 +68,11 @@ export class Labels {
   private readonly pool: HTMLElement[] = [];
   private readonly at = new Vector3();
 
-  constructor(private readonly layer: HTMLElement) {}
+  /** `lift`: how far labels are above what they name, in their heights. */
+  constructor(
+    private readonly layer: HTMLElement,
+    private readonly lift = 0,
+  ) {}
 
   /** `taken` are the parts of the picture where something else is. */
   show(marks: Mark[], camera: PerspectiveCamera, width: number, height: number, taken: Box[]): void {
@@ -94,9 +98,9 @@ export class Labels {
     setText(chip!, mark.chip ?? thingLetter(mark.thing));
     setText(name!, mark.text);
     setText(far!, mark.far === null ? "" : `${mark.far.toFixed(mark.far < 10 ? 1 : 0)} m`);
-    const x = ((at.x + 1) / 2) * width;
-    const y = ((1 - at.y) / 2) * height;
     const [halfWide, halfHigh] = [label.offsetWidth / 2, label.offsetHeight / 2];
+    const x = ((at.x + 1) / 2) * width;
+    const y = ((1 - at.y) / 2) * height - 2 * this.lift * halfHigh;
     const shownX = Math.min(Math.max(x, halfWide + EDGE_PX), width - halfWide - EDGE_PX);
     const shownY = Math.min(Math.max(y, halfHigh + EDGE_PX), height - halfHigh - EDGE_PX);
     const outside = x < 0 || x > width || shownY !== y;

@@ -94,6 +94,28 @@ for (const [name, [width, height]] of Object.entries(SIZES)) {
   said.fits[name] = await ask("document.documentElement.scrollWidth <= innerWidth");
   await shot(name);
 }
+
+// on a phone no name or goal lies on a robot or a person
+await page.setViewportSize({ width: 390, height: 844 });
+await nap(300);
+said.covered = [];
+for (let part = 0; part <= 10; part++) {
+  const frames = await ask(`(player.clock.seek(player.episode.seconds * ${part / 10}), player.frames)`);
+  await until(`player.frames > ${frames}`, "a frame of another step");
+  said.covered.push(...(await ask(`(() => {
+    const picture = document.getElementById("picture").getBoundingClientRect();
+    const { marks, clock, views, canvas } = player;
+    const bodies = marks.bodies(clock.row, views.view.agent, views.camera, canvas.clientWidth, canvas.clientHeight);
+    const pills = [...document.querySelectorAll("#marks .mark:not(.squeezed)")].filter((pill) => !pill.hidden);
+    return pills.flatMap((pill) => {
+      const box = pill.getBoundingClientRect();
+      const [left, top] = [box.left - picture.left, box.top - picture.top];
+      const lies = bodies.some((body) => left + 1 < body.left + body.width && body.left < left + box.width - 1 && top + 1 < body.top + body.height && body.top < top + box.height - 1);
+      return lies ? [[clock.row, pill.textContent]] : [];
+    });
+  })()`)));
+  if (part === 3) await shot("pills");
+}
 await page.setViewportSize({ width: 1280, height: 720 });
 await ask("document.body.focus()");
 await press("?");
