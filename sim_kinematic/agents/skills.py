@@ -178,15 +178,16 @@ Skill = Generator[None, None, SkillResult]
 
 
 @lru_cache(maxsize=64)
-def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
+def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) -> tuple[Action, ...]:
     """All actions that an agent can choose among, in the order in which learned policies number them.
 
     They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
-    actions, or 4 K + 1 for a person.
+    actions, or 4 K + 1 for a person. `OPENING_SKILLS` with each of the joints ``parts`` follow, which a task names.
     """
     with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
     primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
-    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
+    opening = [Action(skill, joint) for skill in OPENING_SKILLS for joint in parts]
+    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives, *opening)
 
 
 class LearnedSkill(Protocol):

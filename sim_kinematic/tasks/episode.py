@@ -128,7 +128,7 @@ def rules_dict(spec: Any) -> dict[str, Any]:
     rules = asdict(spec)
     if rules.get("person_contact") == "body":
         del rules["person_contact"]
-    for name in ("solid_agents", "floor_moves", "skills", "oracle"):
+    for name in ("solid_agents", "floor_moves", "skills", "oracle", "parts"):
         # True stands for specs that lack the rule and have nothing to leave out
         if not rules.get(name, True):
             del rules[name]

@@ -170,7 +170,7 @@ def _rearrange() -> Pairs:
             shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
         for agent, kind in enumerate(test_rearrange.KINDS):
             mine, mask = shown[kind]
-            known = pair.known[kind]
+            known = play.team.choices(agent)
             np.testing.assert_array_equal(mask[n], [not play.team.objects.why_not(agent, action) for action in known])
             for name, values in exact([play.view(agent)], names).items():
                 found[name].append((values, mine[name][n : n + 1].numpy()))
