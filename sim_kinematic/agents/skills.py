@@ -9,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, suggest
-from h3data.moved import refuse_renamed
 from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
-
-if not TYPE_CHECKING:
-    # hidden from type checkers, which take a module with a `__getattr__` to have every name
-    __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
     "nav_to_object",

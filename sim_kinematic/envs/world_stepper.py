@@ -206,10 +206,6 @@ class WorldStepper:
         return self.spec.objects if self.task.control.has_skills else 1  # sensors of things say that there are none
 
     @property
-    def _parts(self) -> int:
-        return getattr(self.spec, "parts", 0)
-
-    @property
     def _is_low(self) -> bool:
         return self._task_options.get("level") == "low"
 
@@ -240,7 +236,7 @@ class WorldStepper:
         body = self.source.roster[number].body
         if self._is_low and isinstance(body, Robot):
             return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
-        known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self._parts)))
+        known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self.spec.parts)))
         return gymnasium.spaces.Discrete(len(known))
 
     def _width(self, number: int) -> int:
@@ -485,7 +481,10 @@ class WorldStepper:
             {
                 name: space
                 for name, space in limits(
-                    sensors, objects=self._objects, arm=len(resting_arm(roster[k].body)), parts=self._parts
+                    sensors,
+                    objects=self._objects,
+                    arm=len(resting_arm(roster[k].body)),
+                    parts=getattr(self.spec, "parts", 0),
                 ).items()
                 if not (lone and sensors[name].of_other)
             }

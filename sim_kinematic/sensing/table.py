@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import NOBODY, AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
@@ -37,8 +36,6 @@ from sim_kinematic.sensing.sensor import (
 
 if TYPE_CHECKING:
     from sim_kinematic.world import World
-else:
-    __getattr__ = refuse_renamed(__name__)
 
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""

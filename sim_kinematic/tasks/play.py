@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
@@ -29,8 +28,6 @@ from sim_kinematic.world import (
 
 if TYPE_CHECKING:
     from sim_kinematic.sensing.eyes import PictureSize
-else:
-    __getattr__ = refuse_renamed(__name__)
 
 
 class Rules(Protocol):
@@ -224,7 +221,7 @@ class WorldRollout:
     @property
     def open_parts(self) -> NDArray[np.bool_]:
         """Return which of the doors and drawers of `Rearrange.parts_of` stand at least ajar, [W, M]; only with skills."""
-        return self.team.open_parts[None]
+        return self.team.open_joints[list(self.team.parts)][None]
 
     def extra(self, name: str) -> NDArray[Any]:
         """Return an entry of `Episode.extra` for all worlds, [W, ...]."""

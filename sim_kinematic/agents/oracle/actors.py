@@ -233,8 +233,6 @@ def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
     errand = actor.errands.of(action, actor.objects.poses)
     if action.skill.startswith("nav"):
         return "no_way" if errand.ways.start(actor.xz) == NONE else ""
-    if action.skill in OPENING_SKILLS and actor.objects.openables.is_open(action.target) == (action.skill == "open"):
-        return "already_open" if action.skill == "open" else "already_closed"
     return "" if actor.errands.reaches(errand, actor.xz, actor.facing_error(errand)) else "out_of_reach"
 
 
@@ -261,8 +259,9 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
     """Takes an object or puts it down, opens or closes a part; returns why that fails."""
     objects, k = actor.objects, action.target
     if action.skill in OPENING_SKILLS:
-        joints = objects.openables.joints
-        objects.openables.move(k, (joints.opened if action.skill == "open" else joints.closed)[k])
+        objects.openables.move(
+            k, getattr(objects.openables.joints, "opened" if action.skill == "open" else "closed")[k]
+        )
         return ""
     if action.skill == "place":
         objects.held_by[k] = NOBODY

@@ -505,8 +505,7 @@ class _EpisodeSampler:
     @cached_property
     def _centers(self) -> Array:
         """Middle of each surface on the floor plane [S, 2]."""
-        middles = [instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces]
-        return np.array(middles)[:, [0, 2]]
+        return np.array([instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces])[:, [0, 2]]
 
     def _ways(self, here: Array) -> Array:
         """Length of the way from ``here`` [2] to each surface [S] [m], about."""

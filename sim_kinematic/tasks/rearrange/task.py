@@ -120,7 +120,7 @@ class Rearrange(Task):
         return ()
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: Any, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
         """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
         del rows
         play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)

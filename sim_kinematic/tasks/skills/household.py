@@ -124,7 +124,7 @@ class Household(Team):
         self.company = self._introduced()
         # after the company, which doors must not open into
         self.objects.openables = openables = self._openables()
-        self.handles = openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
+        self.handles: Any = openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
         """Places of the handles of `parts` at rest, [M, 3] [m]."""
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
@@ -434,14 +434,9 @@ class Household(Team):
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
             parts=self.parts,
-            open_parts=self.open_parts,
+            open_parts=self.play.open_parts[0],
             handles=self.handles,
         )
-
-    @property
-    def open_parts(self) -> NDArray[np.bool_]:
-        """Return which of `parts` stand at least ajar, [M]."""
-        return self.open_joints[list(self.parts)]
 
     def choices(self, agent: int) -> tuple[Action, ...]:
         """Return what an agent can choose among, by number (`sim_kinematic.agents.skills.choices`)."""

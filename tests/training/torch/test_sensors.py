@@ -28,8 +28,8 @@ from tests.sim.steppers import Batch  # noqa: E402
 from tests.training.torch import test_rearrange, test_skills, test_social_nav  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
-WORLDS, OBJECTS, JOINTS, CHOICES = 5, 2, 7, 13
-COUNTS = {"once": 1, "objects": OBJECTS, "joints": JOINTS, "choices": CHOICES}
+WORLDS, OBJECTS, JOINTS, CHOICES, PARTS = 5, 2, 7, 13, 2
+COUNTS = {"once": 1, "objects": OBJECTS, "joints": JOINTS, "choices": CHOICES, "parts": PARTS}
 
 
 # --- each row is one function -------------------------------------------------------------------------------------------
@@ -58,6 +58,7 @@ class AnyContext:
         self.target, self.resting, self.point = numbers(3), numbers(3), numbers(2)
         self.held_by = array(rng.integers(NOBODY, 2, (WORLDS, OBJECTS)))
         self.steps = array(rng.integers(0, 900, WORLDS))
+        self.handles, self.open_parts = numbers(PARTS, 3), flags(PARTS)
         self.points = numbers(OBJECTS, len(AHEAD_M), 2)
         lengths = rng.uniform(0, 9, (WORLDS, 8, OBJECTS))
         self.lengths = array(lengths)

@@ -166,9 +166,6 @@ def begin(
     gap = places.ends(field) - xz[:, None]
     reached = reaches(oracle, gap, error_to(xz, heading, spot[:, 0::2], bearing))
     can = precondition(choices, number, hands) & (~goes | (first >= 0)) & (~handles | reached)
-    if places.tables.parts:
-        stands = of_object(hands.opened, choices.part[number])
-        can = can & ((kind < OPEN) | (stands == (kind == CLOSE)))
     starts, fails = free & can, free & ~can
     zero = torch.zeros_like(does.timer)
     does = does._replace(
