@@ -14,12 +14,14 @@ pytest.importorskip("fcl")
 
 import h3data  # noqa: E402
 from examples.fetch import Fetch, FetchSpec  # noqa: E402
+from h3data.bodies import load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.tasks import SkillControl, StepOutcome, with_oracle_skills  # noqa: E402
 from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv  # noqa: E402
 from h3data_training.torch.rearrange.bank import RearrangeBank  # noqa: E402
 from h3data_training.torch.rearrange.state import DONE, FAILED, FREE  # noqa: E402
 from h3data_training.torch.rearrange.worlds import RearrangeTensors  # noqa: E402
+from sim_kinematic.agents.robots.hand_reach import reach_bearing  # noqa: E402
 from sim_kinematic.agents.skills import Action  # noqa: E402
 from sim_kinematic.envs.world_stepper import WorldStepper  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES  # noqa: E402
@@ -27,6 +29,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.resume import verify  # noqa: E402
 from sim_kinematic.tasks.runner import simulate  # noqa: E402
 from sim_kinematic.tasks.skills.errands import errands_of  # noqa: E402
+from sim_kinematic.tasks.social_nav.episode import Starts  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.capturable import CapturableOnly  # noqa: E402
 from tests.training.torch.test_rearrange import KINDS, QUICK, Pair, count_spans  # noqa: E402
@@ -48,12 +51,21 @@ def episodes() -> list[RearrangeEpisode]:
     return drawn(2)
 
 
+def before_the_drawer(episode: RearrangeEpisode) -> RearrangeEpisode:
+    """The episode, but its robot begins where it can reach the handle, half a radian from facing it, far from the person."""
+    (joint,), starts = Fetch().parts_of(episode), episode.starts.copy()
+    drawer = errands_of(episode, 0, (joint,)).to_part[joint]
+    starts[0, :2] = drawer.ways.ends[0]
+    x, z = drawer.point[[0, 2]] - starts[0, :2]
+    starts[0, 2] = np.arctan2(-z, x) - reach_bearing(load_robot(episode.pair[0])) + 0.5
+    places = [way.ends[0] for way in errands_of(episode, 1, (joint,)).to_start]
+    starts[1, :2] = max(places, key=lambda place: float(np.hypot(*(place - starts[0, :2]))))
+    return replace(episode, starts=starts, pair_starts=Starts.of(starts))
+
+
 @pytest.fixture(scope="module")
 def near(episodes: list[RearrangeEpisode]) -> RearrangeEpisode:
-    """An episode whose robot begins where it can reach the handle."""
-    (joint,), starts = Fetch().parts_of(episodes[0]), episodes[0].starts.copy()
-    starts[0, :2] = errands_of(episodes[0], 0, (joint,)).to_part[joint].ways.ends[0]
-    return replace(episodes[0], starts=starts)
+    return before_the_drawer(episodes[0])
 
 
 @pytest.fixture(scope="module")

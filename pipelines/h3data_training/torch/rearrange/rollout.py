@@ -44,7 +44,6 @@ class SkillTensorRollout:
         self.spec, self.steps, self.memory = sim.spec, now.steps, memory
         self.at_goal = sim.at_goal(now.hands, sim.tables.at(now.episode))
         self.open_parts = now.opened
-        self.objects, self.goals = now.objects, sim.tables.goals(now.episode)
         was = tuple(Pose(now.before[:, who, :2], now.before[:, who, 2]) for who in range(2))
         self.world = SkillWorld(
             len(now.steps),
