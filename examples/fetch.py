@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 import h3data
 from h3data.errors import SceneError
 from h3data.policies import Action, RearrangeView, resolve_policy
-from h3data.recording import Event
 from h3data.tasks import (
     Control,
     Rearrange,
@@ -23,8 +22,10 @@ from h3data.tasks import (
     RearrangeSpec,
     SkillControl,
     StepOutcome,
+    TaskUsage,
     WorldRollout,
     generator,
+    with_oracle_skills,
 )
 
 
@@ -32,6 +33,8 @@ from h3data.tasks import (
 class FetchSpec(RearrangeSpec):
     """Rules in addition to those of every task with things."""
 
+    parts: int = 1
+    """One drawer, which agents may choose to open by number."""
     drawer_worth: float = 5.0
     """Reward for opening the drawer."""
     thing_worth: float = 10.0
@@ -106,6 +109,7 @@ class Fetch(Rearrange):
         "robot": {"drawer_first": drawer_first},
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "drawer_first", "human": "object_1"}
+    usage = TaskUsage(device_rules=with_oracle_skills(FetchSpec()))
 
     @property
     def codec(self) -> FetchCodec:
@@ -118,26 +122,27 @@ class Fetch(Rearrange):
         drawer_of(episode)
         return episode
 
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Nothing is paid yet: the drawer, then each thing."""
-        play.memory = {"drawer": drawer_of(play.episode), "paid": np.zeros(1 + len(play.team.objects.names), np.bool_)}
+    def parts_of(self, episode: Any) -> tuple[int, ...]:
+        """The drawer to open."""
+        return (drawer_of(episode),)
+
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
+        """Nothing is paid yet: the drawer, then each thing. On a device these are tensors, and so in ``judge``."""
+        none = play.xp.concatenate([play.open_parts, play.at_goal], -1)
+        return {"paid": none & ~none}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
         """Pays once for the open drawer and for each thing at its goal, in nobody's hand."""
-        spec, drawer, paid = play.spec, play.memory["drawer"], play.memory["paid"]
-        there = np.append(play.team.open_joints[drawer], play.team.at_goal)
-        worth = np.append(spec.drawer_worth, np.full(len(play.team.at_goal), spec.thing_worth))
-        fresh = there & ~paid
-        paid |= there
-        success, collides = bool(there.all()), bool(play.world.touching.any())
-        events = [(0, Event(step=play.step, agent=-1, kind="opened", target=play.team.objects.joints[drawer]))]
+        there = play.xp.concatenate([play.open_parts, play.at_goal], -1)
+        fresh, play.memory["paid"] = there & ~play.memory["paid"], there | play.memory["paid"]
+        success, collides = there.all(-1), play.world.touching.any(-1)
+        paid = play.spec.drawer_worth * fresh[:, 0] + play.spec.thing_worth * fresh[:, 1:].sum(-1)
         return StepOutcome(
-            reward=np.array([worth[fresh].sum() - 1.0 * collides]),
-            terminated=np.array([success or collides]),
-            success=np.array([success]),
-            columns={"metrics.at_goal": play.team.at_goal[None], "metrics.drawer_open": there[None, 0]},
-            ended="success" if success else "collision",
-            events=events if fresh[0] else (),
+            reward=paid - 1.0 * collides,
+            terminated=success | collides,
+            success=success,
+            columns={"metrics.at_goal": play.at_goal, "metrics.drawer_open": there[:, 0]},
+            events=play.events_where(fresh[:, 0], "opened"),
         )
 
 

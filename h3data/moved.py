@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
 
@@ -263,15 +263,15 @@ RENAMED = {
 }
 """New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
 
-The old module calls `refuse_renamed`.
+`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own calls `refuse_renamed` there.
 """
 
 
-def refuse_renamed(module: str) -> Callable[[str], Any]:
-    """Makes a module's ``__getattr__``, which answers old names of `RENAMED` with an ImportError that says the new one.
+_OLD_HOMES = frozenset(name.rpartition(".")[0] for name in RENAMED)
 
-    Assign it inside ``if not TYPE_CHECKING``: type checkers take a module with a ``__getattr__`` to have every name.
-    """
+
+def refuse_renamed(module: str) -> Callable[[str], Any]:
+    """Makes a module's ``__getattr__``, which answers old names of `RENAMED` with an ImportError that says the new one."""
 
     def refuse(name: str) -> Any:
         new = RENAMED.get(f"{module}.{name}")
@@ -309,7 +309,27 @@ class MovedFinder(MetaPathFinder):
         return None
 
 
+class RenamedFinder(PathFinder):
+    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`refuse_renamed`)."""
+
+    @classmethod
+    def find_spec(
+        cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Returns the module's own specification; None for modules without renamed objects."""
+        spec = super().find_spec(fullname, path, target) if fullname in _OLD_HOMES else None
+        if spec is not None and spec.loader is not None:
+            run = spec.loader.exec_module
+
+            def run_guarded(module: ModuleType) -> None:
+                vars(module)["__getattr__"] = refuse_renamed(fullname)
+                run(module)
+
+            spec.loader.exec_module = run_guarded
+        return spec
+
+
 def announce_moves() -> None:
     """Makes imports of old names say the new ones, in this process."""
     if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
-        sys.meta_path.append(MovedFinder())
+        sys.meta_path[:] = [RenamedFinder, *sys.meta_path, MovedFinder()]

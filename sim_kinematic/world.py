@@ -17,7 +17,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
-from h3data.moved import refuse_renamed
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import AgentSpec
@@ -40,9 +39,6 @@ from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, wa
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)
 
 Rows = NDArray[np.intp]
 

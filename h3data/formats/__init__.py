@@ -6,8 +6,6 @@ the group ``h3data.formats``, each of which is a `Format` (h3data docs import). 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from h3data.formats.detection import (
     FORMATS,
     detect,
@@ -18,7 +16,6 @@ from h3data.formats.detection import (
 )
 from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, ImportRequest, LengthUnit, PersonDetail
 from h3data.formats.source_file import SourceFile
-from h3data.moved import refuse_renamed
 
 __all__ = [
     "FORMATS",
@@ -36,6 +33,3 @@ __all__ = [
     "json_format",
     "load",
 ]
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)

@@ -1,7 +1,5 @@
 """Task metrics of recordings, from their columns alone: profiles, tables, comparisons of runs."""
 
-from typing import TYPE_CHECKING
-
 from h3data.metrics.batch import measure_files, measure_tables
 from h3data.metrics.differences import Differences, compare_runs, compare_tables
 from h3data.metrics.episode import EpisodeMetrics
@@ -21,7 +19,6 @@ from h3data.metrics.registry import (
 from h3data.metrics.report_layout import Milestone, PublishedRow, PublishedTable, ReportLayout
 from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, find_agents
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
-from h3data.moved import refuse_renamed
 from h3data.pseudonyms import anonymous_id
 
 __all__ = [
@@ -56,6 +53,3 @@ __all__ = [
     "series_of",
     "tabulate",
 ]
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)

@@ -5,14 +5,8 @@
 - `recorded_robots`: whether the robots of a recording have changed since
 """
 
-from typing import TYPE_CHECKING
-
-from h3data.moved import refuse_renamed
 from h3data.replay.cameras import camera_at, camera_names, camera_track
 from h3data.replay.records import CameraTrack, Drawable, State
 from h3data.replay.replay import Replay
 
 __all__ = ["CameraTrack", "Drawable", "Replay", "State", "camera_at", "camera_names", "camera_track"]
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)

@@ -168,8 +168,7 @@ CUT_M = 2.2
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     """A static view of the whole home from high above, without ceilings, -Z at the top."""
-    lo, hi = _extent(replay)
-    lo, hi = lo - margin_m, hi + margin_m
+    lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     shape = float(np.clip(span_z / span_x, 1 / 3, 3 / 2))
     # even sides, as videos need them
@@ -192,8 +191,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
 
 def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     """The whole home as a plan to scale, i.e. `top_down` without perspective."""
-    lo, hi = _extent(replay)
-    lo, hi = lo - margin_m, hi + margin_m
+    lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     scale = np.sqrt(TOP_DOWN_PIXELS / (span_x * span_z))
     width, height = (max(int(span * scale) // 2 * 2, 2) for span in (span_x, span_z))
@@ -241,14 +239,14 @@ def orbit(replay: Replay) -> CameraTrack:
     return CameraTrack(camera=camera, poses=poses, crops=False)
 
 
-def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Minimum and maximum corner of the home, or of everything that was recorded [m]."""
+def _extent(replay: Replay, margin_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Minimum and maximum corner of the home, or of everything that was recorded, with a margin around it [m]."""
     if replay.scene is not None and replay.scene.rooms:
         rectangles = np.concatenate([room.rectangles for room in replay.scene.rooms])
         top = float(replay.scene.bounds[1, 1])
         return (
-            np.array([rectangles[:, 0].min(), replay.scene.rooms[0].floor_y, rectangles[:, 1].min()]),
-            np.array([rectangles[:, 2].max(), top, rectangles[:, 3].max()]),
+            np.array([rectangles[:, 0].min(), replay.scene.rooms[0].floor_y, rectangles[:, 1].min()]) - margin_m,
+            np.array([rectangles[:, 2].max(), top, rectangles[:, 3].max()]) + margin_m,
         )
     corners = []
     for index, drawable in enumerate(replay.drawables):
@@ -268,4 +266,4 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points = np.concatenate([c.reshape(-1, 3) for c in corners]) if corners else np.zeros((1, 3))
     lo, hi = points.min(0), points.max(0)
     # a single point would make a camera without a distance
-    return lo, np.maximum(hi, lo + 1.0)
+    return lo - margin_m, np.maximum(hi, lo + 1.0) + margin_m

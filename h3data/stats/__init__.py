@@ -11,9 +11,6 @@ many tests        `adjust_p_values`: Holm, Bonferroni, Benjamini-Hochberg
 ================= ======================================================================================================
 """
 
-from typing import TYPE_CHECKING
-
-from h3data.moved import refuse_renamed
 from h3data.stats.intervals import (
     SeedSummary,
     bootstrap_interval,
@@ -38,6 +35,3 @@ __all__ = [
     "t_interval",
     "wilson_interval",
 ]
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)

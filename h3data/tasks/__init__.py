@@ -9,7 +9,7 @@ from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
-from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, with_oracle_skills
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
@@ -42,4 +42,5 @@ __all__ = [
     "find_task",
     "generator",
     "sample_starts",
+    "with_oracle_skills",
 ]

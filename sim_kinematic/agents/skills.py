@@ -9,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, suggest
-from h3data.moved import refuse_renamed
 from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
-
-if not TYPE_CHECKING:
-    # hidden from type checkers, which take a module with a `__getattr__` to have every name
-    __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
     "nav_to_object",
@@ -178,15 +173,16 @@ Skill = Generator[None, None, SkillResult]
 
 
 @lru_cache(maxsize=64)
-def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
+def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) -> tuple[Action, ...]:
     """All actions that an agent can choose among, in the order in which learned policies number them.
 
     They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
-    actions, or 4 K + 1 for a person.
+    actions, or 4 K + 1 for a person. `OPENING_SKILLS` with each of the joints ``parts`` follow, which a task names.
     """
     with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
     primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
-    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
+    opening = [Action(skill, joint) for skill in OPENING_SKILLS for joint in parts]
+    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives, *opening)
 
 
 class LearnedSkill(Protocol):

@@ -162,7 +162,6 @@ class WorldStepper:
         self._home = np.full(worlds, -1)
         self._renderers: dict[Any, StateRenderer] = {}
         """Renderers by home, number of worlds that are rendered at once, and light; with skills by world and light."""
-        self._choices = {k: choices(self._objects, robot=self._kind(k) == "robot") for k in self.numbers.values()}
         self._sets = self._observation_sets(observations or task.control.observations)
 
     def _check_skills(self, worlds: int) -> None:
@@ -237,7 +236,8 @@ class WorldStepper:
         body = self.source.roster[number].body
         if self._is_low and isinstance(body, Robot):
             return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
-        return gymnasium.spaces.Discrete(len(self._choices[number]))
+        known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self.spec.parts)))
+        return gymnasium.spaces.Discrete(len(known))
 
     def _width(self, number: int) -> int:
         is_robot = self.source.roster[number].kind == "robot"
@@ -341,7 +341,7 @@ class WorldStepper:
                 # an `Action` of one world stays whole: it is a tuple, which an array would take apart
                 own = action if self.worlds == 1 else np.asarray(action)[w : w + 1]
                 # checked also for agents that are busy: a malformed action is an error whenever it comes
-                choice = self._chosen(number, own)
+                choice = self._chosen(self.plays[w], number, own)
                 if number in self.turns[w].choosing:
                     chosen[w][number] = self.task.control.checked(self.plays[w], number, choice)
         reward, ended = np.zeros(self.worlds), [""] * self.worlds
@@ -351,11 +351,11 @@ class WorldStepper:
             reward[w], ended[w] = turns.reward, turns.play.ended if turns.is_over else ""
         return reward, np.array([word not in ("", "max_steps") for word in ended]), np.array(ended) == "max_steps"
 
-    def _chosen(self, number: int, action: ArrayLike | Action) -> Action:
+    def _chosen(self, play: WorldRollout, number: int, action: ArrayLike | Action) -> Action:
         """Return the choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
         if isinstance(action, Action):
             return action
-        body, there = self.source.roster[number].body, self._choices[number]
+        body, there = self.source.roster[number].body, play.team.choices(number)
         if self._is_low and isinstance(body, Robot):
             row = np.asarray(action, object)
             return Action(CONTROL, command=tuple(checked_command(row[0] if row.ndim else action, body).tolist()))
@@ -432,7 +432,7 @@ class WorldStepper:
             return self.task.info_of(play)
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
-            facts = {"steps": turns.steps, "step": play.step, **play.team.info(number, self._choices[number])}
+            facts = {"steps": turns.steps, "step": play.step, **play.team.info(number)}
             facts["success"] = turns.is_over and play.ended == "success"
             if len(self.agents) > 1:
                 facts["choosing"] = agent in self.choosing(w)
@@ -480,7 +480,12 @@ class WorldStepper:
         states = [
             {
                 name: space
-                for name, space in limits(sensors, objects=self._objects, arm=len(resting_arm(roster[k].body))).items()
+                for name, space in limits(
+                    sensors,
+                    objects=self._objects,
+                    arm=len(resting_arm(roster[k].body)),
+                    parts=getattr(self.spec, "parts", 0),
+                ).items()
                 if not (lone and sensors[name].of_other)
             }
             for k in numbers

@@ -6,19 +6,15 @@ A script, a planner, a network, a recorded track and somebody outside are the sa
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import HumanState
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)
 
 
 # --- choices ----------------------------------------------------------------------------------------------------------

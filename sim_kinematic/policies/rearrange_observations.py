@@ -46,6 +46,7 @@ class RearrangeContext:
         self.arm, self.held_by, self.at_goal = self._all("arm"), self._all("held_by"), self._all("at_goal")
         self.objects, self.starts, self.goals = self._all("objects"), self._all("starts"), self._all("goals")
         self.contact, self.touching, self.close = self._all("contact"), self._all("collision"), self._all("close")
+        self.open_parts, self.handles = self._all("open_parts"), self._all("handles")
         self.steps, before, start = self._all("step"), self._all("before"), self._all("start")
         self.now = Pose(self._all("xz"), self._all("heading"))
         self.before, self.start = (Pose(pose[:, :2], pose[:, 2]) for pose in (before, start))
@@ -120,9 +121,10 @@ class RearrangeContext:
     def ended(self, outcome: Ending) -> Floats:
         """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [W, C]."""
         # only robots have joints of an arm to observe
-        known = choices(self.objects.shape[1], robot=self.arm.shape[1] > 0)
-        found = np.zeros((len(self._views), len(known)))
+        robot, objects = self.arm.shape[1] > 0, self.objects.shape[1]
+        found = np.zeros((len(self._views), len(choices(objects, robot=robot, parts=self._views[0].parts))))
         for own, view in zip(found, self._views, strict=True):
+            known = choices(objects, robot=robot, parts=view.parts)
             if view.last is not None and view.last.outcome == outcome and view.action in known:
                 own[known.index(view.action)] = 1.0
         return found
@@ -146,14 +148,17 @@ def exact(
     for name in names:
         if sensors[name].of_other and moment.is_alone:
             # only their lengths are needed, of which the limits know
-            lone = lone or limits(sensors, objects=moment.objects.shape[1], arm=moment.arm.shape[1])
+            lone = lone or limits(
+                sensors, objects=moment.objects.shape[1], arm=moment.arm.shape[1], parts=moment.open_parts.shape[1]
+            )
             found[name] = np.zeros((len(views), *lone[name].shape))
         else:
             found[name] = np.asarray(sensors[name].of(moment), np.float64)
     return found
 
 
-def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int) -> dict[str, Limits]:
+def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int, parts: int = 0) -> dict[str, Limits]:
     """Return limits of all observations but pictures by name, for an agent with ``arm`` joints (0: a person)."""
-    counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
+    known = choices(objects, robot=arm > 0, parts=tuple(range(parts)))
+    counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(known), "parts": parts}
     return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}

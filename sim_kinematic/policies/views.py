@@ -151,6 +151,12 @@ class RearrangeView(NamedTuple):
     NaN, and they count as not at their goals and in nobody's hand. None: it knows everything."""
     messages: Sequence[Event] = ()
     """Messages so far that the agent has said or heard (`h3data.recording.log_lines.SAY`)."""
+    parts: tuple[int, ...] = ()
+    """Joints of the M doors and drawers that the agent may choose to open by number."""
+    open_parts: NDArray[np.bool_] = np.zeros(0, np.bool_)
+    """True for those of them that stand at least ajar, [M]."""
+    handles: NDArray[np.float64] = np.zeros((0, 3))
+    """Places of their handles at rest, [M, 3] [m]."""
 
     def is_known(self, k: int) -> bool:
         """Return whether the agent knows where an object is."""

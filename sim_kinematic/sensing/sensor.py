@@ -19,13 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 from h3data.geometry import quat_conjugate, quat_rotate, wrap_angle
 from h3data.kernels import kernel
-from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
-else:
-    __getattr__ = refuse_renamed(__name__)
 
 Floats = NDArray[np.floating]
 

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import NOBODY, AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
@@ -37,8 +36,6 @@ from sim_kinematic.sensing.sensor import (
 
 if TYPE_CHECKING:
     from sim_kinematic.world import World
-else:
-    __getattr__ = refuse_renamed(__name__)
 
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
@@ -46,7 +43,7 @@ NEARER_M = 3.0
 """Largest distance by which an agent can get nearer to anything within a second [m]."""
 AHEAD_M = (1.0, 2.5)
 """Lengths of the shortest path after which ``path_ahead`` gives points, for 0.4 s and 1 s at the robot's largest speed [m]."""
-Times = Literal["once", "objects", "joints", "choices"]
+Times = Literal["once", "objects", "joints", "choices", "parts"]
 Ending = Literal["done", "failed", "aborted"]
 
 
@@ -91,6 +88,10 @@ class Context(Protocol):
     """True if the object is at its goal, bool [..., K]."""
     close: Any
     """True if the other agent is inside the ellipse in which skills may be interrupted, bool [...]."""
+    handles: Any
+    """Handles of the M doors and drawers that agents may choose to open, at rest [..., M, 3] [m]."""
+    open_parts: Any
+    """True if the door or drawer stands at least ajar, bool [..., M]."""
     steps: Any
     """Steps since the episode began [...]."""
     target: Any
@@ -225,7 +226,8 @@ class Sensor(NamedTuple):
     """Axes of the numbers: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root frame of
     the start: x forward, y up, z right) or ``hand``."""
     times: Times = "once"
-    """Number of times that the unit is repeated: once, for each object, joint of the arm or choice."""
+    """Number of times that the unit is repeated: once, for each object, joint of the arm, choice, or door and drawer that
+    agents may choose to open."""
     of_other: bool = False
     """True if the sensor tells something about another agent, which a single agent does not have."""
 
@@ -395,6 +397,8 @@ TABLE: Mapping[str, Sensor] = {
     "other_path_ahead": _path_ahead(other=True),
     "other_velocity": _OTHER_VELOCITY,
     "elapsed_s": Sensor(lambda m: m.steps[..., None] * STEP_S, (0.0,), (FAR_M,), ("s",)),
+    "part_gps_compass": Sensor(lambda m: _polar_of(m, m.handles[..., 0:3:2]), **_POLAR, times="parts"),
+    "part_is_open": Sensor(lambda m: m.open_parts, **_FLAG, times="parts"),
     # of a robot with one skill to learn
     "target_gps_compass": Sensor(
         lambda m: gps_compass(m.now.xz, m.now.heading, m.target[..., 0:3:2], xp=m.xp), **_POLAR

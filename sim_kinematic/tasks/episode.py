@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError, suggest
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, WalkerSpec
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
 """Largest number of steps of an episode that is simulated again, nine hours."""
@@ -128,7 +124,7 @@ def rules_dict(spec: Any) -> dict[str, Any]:
     rules = asdict(spec)
     if rules.get("person_contact") == "body":
         del rules["person_contact"]
-    for name in ("solid_agents", "floor_moves", "skills", "oracle"):
+    for name in ("solid_agents", "floor_moves", "skills", "oracle", "parts"):
         # True stands for specs that lack the rule and have nothing to leave out
         if not rules.get(name, True):
             del rules[name]
@@ -189,22 +185,14 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
     if kind is float and type(value) is int:
         value = float(value)
     if kind is tuple and isinstance(value, list) and len(value) == len(now):
-        value = tuple(map(_rule_number, value))
+        value = tuple(float(one) if type(one) in (int, float) else None for one in value)
     # True is an int to Python and NaN a float, so types are compared exactly and NaN is refused
     numbers = value if isinstance(value, tuple) else (value,)
     if type(value) is not kind or any(number is None or number != number for number in numbers):
-        given = value if isinstance(value, str) else json.dumps(value)
+        usual, given = (one if isinstance(one, str) else json.dumps(one) for one in (now, value))
         shape = f" of length {len(now)}" if kind is tuple else ""
         raise InputError(
-            f"Expected the rule {name} to be {rule_kinds[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            f"Expected the rule {name} to be {rule_kinds[kind]}{shape}, as {name}={usual}; got {given}.",
             code="H3-JOB-021",
         )
     return value
-
-
-def _rule_number(value: Any) -> float | None:
-    return float(value) if type(value) in (int, float) else None
-
-
-def _as_text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
-from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
@@ -29,8 +28,6 @@ from sim_kinematic.world import (
 
 if TYPE_CHECKING:
     from sim_kinematic.sensing.eyes import PictureSize
-else:
-    __getattr__ = refuse_renamed(__name__)
 
 
 class Rules(Protocol):
@@ -216,6 +213,16 @@ class WorldRollout:
         self.outcome = outcome
         return outcome
 
+    @property
+    def at_goal(self) -> NDArray[np.bool_]:
+        """Return which things are at their goals and in nobody's hand, [W, K]; only of agents with skills."""
+        return self.team.at_goal[None]
+
+    @property
+    def open_parts(self) -> NDArray[np.bool_]:
+        """Return which of the doors and drawers of `Rearrange.parts_of` stand at least ajar, [W, M]; only with skills."""
+        return self.team.open_joints[list(self.team.parts)][None]
+
     def extra(self, name: str) -> NDArray[Any]:
         """Return an entry of `Episode.extra` for all worlds, [W, ...]."""
         return np.array([episode.extra[name] for episode in self.episodes])
@@ -255,7 +262,10 @@ class WorldRollout:
         # at least one object, as limits of sensors of objects need a number
         if agent not in self._sensors:
             self._sensors[agent] = AgentSensors.of(
-                self.task, self.world.roster[agent], max(self.world.state.held_by.shape[1], 1)
+                self.task,
+                self.world.roster[agent],
+                max(self.world.state.held_by.shape[1], 1),
+                getattr(self.spec, "parts", 0),
             )
         own, shown = self._sensors[agent], {}
         own.check(names)
@@ -423,10 +433,10 @@ class AgentSensors(NamedTuple):
     pictures: frozenset[str]
 
     @classmethod
-    def of(cls, task: Rules, member: AgentSpec, objects: int) -> AgentSensors:
-        """Return the sensors and pictures of an agent in an episode with this number of objects."""
+    def of(cls, task: Rules, member: AgentSpec, objects: int, parts: int = 0) -> AgentSensors:
+        """Return the sensors and pictures of an agent in an episode with these numbers of objects and of parts that open."""
         sensors = task.sensors(member.kind)
-        spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)))
+        spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)), parts=parts)
         exact = {name: (np.asarray(s.low, np.float64), np.asarray(s.high, np.float64)) for name, s in spaces.items()}
         return cls(member.name, {name: sensors[name] for name in exact}, exact, frozenset(picture_names(member.body)))
 

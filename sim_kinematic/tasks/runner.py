@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from h3data.errors import InputError, suggest
-from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import CONTROL, Action, Message, sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
@@ -28,9 +27,6 @@ from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, descri
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
-
-if not TYPE_CHECKING:
-    __getattr__ = refuse_renamed(__name__)
 
 
 class DecisionLoop:

@@ -56,8 +56,7 @@ class WanderCodec(TaskCodec):
 
     def policy_names(self, recording: Recording) -> list[str]:
         """Return the name of each agent's policy; ``wander`` where the recording names none."""
-        names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
-        return [str(name) for name in names]
+        return [str(name) for name in recording.episode.info.get("policies", ["wander"] * len(recording.agents))]
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
         """Raise an `InputError` if a policy is chosen, which this task does not support."""

@@ -37,9 +37,9 @@ def make_social_nav(
 
 
 def make_rearrange(
-    worlds: int, scenes: Scenes, *, device: Any, agents: Sequence[str], **options: Any
+    worlds: int, scenes: Scenes, *, device: Any, agents: Sequence[str], task: Rearrange | None = None, **options: Any
 ) -> RearrangeTorchEnv:
-    """Rearrangement with oracle skills; ``options`` are those of `RearrangeTorchEnv`.
+    """Rearrangement, or a ``task`` derived from it, with oracle skills; ``options`` are those of `RearrangeTorchEnv`.
 
     Raises:
         InputError: an option is wrong.
@@ -47,22 +47,24 @@ def make_rearrange(
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.torch_env import enough_memory
 
-    with enough_memory(device, worlds, Rearrange.name):
-        return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
+    with enough_memory(device, worlds, (task or Rearrange).name):
+        return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, task=task, **options)
 
 
 def make_any(
     worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
-) -> TaskTorchEnv:
-    """A task of one robot, which acts, and one scripted person; ``options`` are those of `TaskTorchEnv`.
+) -> TaskTorchEnv | RearrangeTorchEnv:
+    """A task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with things, `RearrangeTorchEnv`.
 
     Raises:
-        InputError: the task has skills or another person, its functions are not for tensors, or an option is wrong.
+        InputError: the task has another person, its functions are not for tensors, or an option is wrong.
     """
+    if isinstance(task, Rearrange):
+        return make_rearrange(worlds, scenes, task=task, device=device, agents=agents, **options)
     if task.control.has_skills:
         raise InputError(
-            f"On a torch device agents drive and walk, and those of {task.name} choose skills; of tasks with skills only "
-            "rearrange plays there. Hint: leave out device.",
+            f"On a torch device, tasks with skills derive from h3data.tasks.Rearrange, and {task.name} does not. Hint: "
+            "derive from it, or leave out device.",
             code="H3-ENV-035",
         )
     _require_robot(task.name, agents)

@@ -1,4 +1,4 @@
-"""Rearrangement for training on a device: W worlds whose choices, observations and rewards are torch tensors there."""
+"""Rearrangement, and tasks derived from it, on a device: W worlds whose choices, observations and rewards are torch tensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from h3data.errors import InputError, did_you_mean
 from h3data_training.envs.torch_env import Tensors, TorchEnv
-from h3data_training.torch.rearrange.observations import View, checked_observations, observed
+from h3data_training.torch.rearrange.observations import View, checked_observations, observed, observed_of
 from h3data_training.torch.rearrange.state import FREE, Play
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
@@ -32,7 +32,7 @@ EPISODES = 256
 
 
 class RearrangeTorchEnv(TorchEnv[Play]):
-    """W worlds of rearrangement on one device, with oracle skills (h3data docs gpu).
+    """W worlds of rearrangement or of a task derived from it on one device, with oracle skills (h3data docs gpu).
 
     A step is 1/30 s in all worlds. Whose choice counts in the next one says ``info["choosing"]``; -1 goes on. They play the
     episodes of a bank, each world in order from a place of its own, which follows from its seed. With two agents, actions,
@@ -57,6 +57,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         human: str = "female_0",
         graph: bool | None = None,
         compile: bool | None = None,
+        task: Rearrange | None = None,
     ) -> None:
         """Samples the episodes, or takes a bank of them, and copies it to the device.
 
@@ -67,8 +68,8 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             dtype: type of the state: by default float64 on the CPU, else float32.
             agents: agents that act: ``robot``, ``human`` or both.
             partner: planner of the other agent (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
-            observations: names of observations (`h3data_training.torch.rearrange.observations.OBSERVED`).
-            spec: rules, with oracle skills; by default `ORACLE_RULES`.
+            observations: names of observations (`h3data_training.torch.rearrange.observations.observed_of`).
+            spec: rules, with oracle skills; by default `ORACLE_RULES`, or the task's with what these say of skills.
             interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
             episodes: number of episodes in the bank, or a bank.
             episodes_seed: seed of the run whose first episodes these are.
@@ -77,13 +78,15 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             graph: whether a step is captured as a CUDA graph; by default on a GPU.
             compile: whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
                 installed.
+            task: a task derived from `Rearrange`, whose functions are for arrays of any namespace (h3data docs extending).
 
         Raises:
             InputError: an argument is not supported on devices, or there is no such device.
         """
         from h3data_training.torch.rearrange.bank import RearrangeBank
-        from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
+        from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
+        self.task = task or Rearrange()
         self.agents: tuple[str, ...] = (agents,) if isinstance(agents, str) else tuple(agents)
         if not self.agents or not set(self.agents) <= set(KINDS) or len(set(self.agents)) < len(self.agents):
             raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
@@ -98,24 +101,30 @@ class RearrangeTorchEnv(TorchEnv[Play]):
                 f"of: {', '.join(PARTNERS)}.",
                 code="H3-ENV-004",
             )
-        self.name = Rearrange.name
+        self.name = self.task.name
         super().__init__(num_envs, device, graph=graph, compile=compile)
-        self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
-        self._partner = partner
+        self._partner, usual = partner, self.task.usage.device_rules
+        rules = spec or (usual if type(usual) is self.task.Spec else with_oracle_skills(self.task.Spec()))
+        self._sensors = {agent: self.task.sensors(agent) for agent in self.agents}
+        known = [name for agent in self.agents for name in observed_of(self._sensors[agent], rules.parts)]
+        chosen = (observations,) if isinstance(observations, str) else tuple(observations)
+        self._names = checked_observations(chosen, tuple(dict.fromkeys(known)))
         if not isinstance(episodes, RearrangeBank):
-            rules = ORACLE_RULES if spec is None else spec
-            episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
+            bodies = {"robot": robot, "human": human}
+            episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, task=self.task, **bodies)
         elif spec is not None and spec != episodes.spec:
             raise InputError("The bank has rules of its own. Hint: leave out spec.", code="H3-ENV-006")
         self.bank = episodes
         self.sim = RearrangeTensors(
             episodes,
+            task=self.task,
             device=self.device,
             dtype=dtype,
             planners=set(KINDS) - set(self.agents),
             partner=partner,
             interrupts="close" if interrupts_when_close else "never",
         )
+        self.sim.check_functions()
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self._actions = {kind: torch.full_like(nothing, FREE) for kind in KINDS}
         self.play: Play = self.sim.before_the_first(nothing)
@@ -170,7 +179,9 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     def _moved(self) -> tuple[dict[str, Tensors], Tensors]:
         self._keep(self.sim.step(self.play, self._actions["robot"], self._actions["human"]))
         views = {agent: View.of(self.sim, self.play, agent) for agent in self.agents}
-        return {agent: observed(view, self._names) for agent, view in views.items()}, self._known(views)
+        return {agent: observed(view, self._names, self._sensors[agent]) for agent, view in views.items()}, self._known(
+            views
+        )
 
     def _known(self, views: Mapping[str, View]) -> Tensors:
         play = self.play
@@ -216,7 +227,8 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         arms = {"robot": len(self.bank.robot.require_arm()), "human": 0}
         spaces = {}
         for agent in self.agents:
-            known = limits(objects=self.bank.objects, arm=arms[agent])
+            sensors, parts = self._sensors[agent], self.bank.spec.parts
+            known = limits(sensors, objects=self.bank.objects, arm=arms[agent], parts=parts)
             spaces[agent] = gymnasium.spaces.Dict({name: box(known[name]) for name in self._names})
         return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
 

@@ -75,6 +75,7 @@ HELD: Mapping[str, Held] = {
                 "robot",
                 "human",
                 "oracle",
+                "parts",
             ),
             BaseSpec: _BASE,
             WalkerSpec: _WALKER,
@@ -119,13 +120,23 @@ _WORLD = ("solid_agents", "floor_moves")
 
 
 def _held(rules: Any) -> Held:
-    """Rules held for a user's task. Its own functions read its rules; those that move agents are as in social navigation."""
+    """Rules held for a user's task. Its own functions read its rules; those that move agents are as in the built-in tasks."""
+    if isinstance(rules, RearrangeSpec):
+        return _held_with_things(rules)
     task, like = type(rules), HELD[SocialNav.name]
     ported = tuple(f.name for f in fields(rules) if f.name not in (*_SAMPLED, *_WORLD))
     usual = replace(
         rules, robot=like.like.robot, human=like.like.human, **{n: False for n in _WORLD if hasattr(rules, n)}
     )
     return Held(usual, {**like.ported, task: ported}, {**like.drawn, task: _SAMPLED})
+
+
+def _held_with_things(rules: RearrangeSpec) -> Held:
+    like, task, shared = HELD[Rearrange.name], type(rules), [f.name for f in fields(RearrangeSpec)]
+    usual = replace(rules, **{name: getattr(like.like, name) for name in shared})
+    own = tuple(f.name for f in fields(rules) if f.name not in shared)
+    ported = {**like.ported, task: (*like.ported[RearrangeSpec], *own)}
+    return Held(usual, ported, {**like.drawn, task: like.drawn[RearrangeSpec]})
 
 
 def refuse_others(task: str, rules: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -10,12 +10,12 @@ from torch import Tensor
 
 from h3data.scene.freespace._sdf import HIT_M, RAY_STRIDE_GROWTH, RAY_STRIDE_M, RAY_STRIDES
 from h3data_training.torch.step import Grids, heading_direction, sample_sdf
-from sim_kinematic.sensing.table import TABLE
+from sim_kinematic.sensing.table import TABLE, Sensor
 
 
-def read_sensors(moment: Any, names: Sequence[str]) -> dict[str, Tensor]:
+def read_sensors(moment: Any, names: Sequence[str], sensors: Mapping[str, Sensor] = TABLE) -> dict[str, Tensor]:
     """The named sensors of a `sim_kinematic.sensing.table.Context`, which has what they need, float32 [W, n] each."""
-    return {name: TABLE[name].of(moment).float() for name in names}
+    return {name: sensors[name].of(moment).float() for name in names}
 
 
 def free_along(grids: Grids, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:

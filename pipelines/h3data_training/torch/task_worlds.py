@@ -363,7 +363,10 @@ class TaskTensors:
     def _begun(self, play: Play) -> dict[str, Tensor]:
         """Memory that the task would have if all worlds began in their present state."""
         begun = self.task.begin(TensorRollout(self, play, None), torch.arange(len(play.steps), device=self.device))  # type: ignore[arg-type]
-        return {"success": play.steps < 0, **{name: self._typed(values) for name, values in (begun or {}).items()}}
+        return {
+            "success": play.steps < 0,
+            **{name: typed(values, self.dtype) for name, values in (begun or {}).items()},
+        }
 
     def succeeded(self, play: Play) -> Tensor:
         """Worlds whose last step was judged a success, bool [W]."""
@@ -375,13 +378,9 @@ class TaskTensors:
         memory = {name: _choose(fresh, values, now.memory[name]) for name, values in begun.items()}
         rollout = TensorRollout(self, now._replace(memory=memory), dict(memory))
         outcome: Any = self.task.judge(rollout)  # type: ignore[arg-type]
-        outcome = replace(outcome, reward=self._typed(outcome.reward))
-        after = {name: self._typed(rollout.memory[name]) for name in begun} | {"success": outcome.success}
+        outcome = replace(outcome, reward=typed(outcome.reward, self.dtype))
+        after = {name: typed(rollout.memory[name], self.dtype) for name in begun} | {"success": outcome.success}
         return outcome, {name: _choose(fresh, values, after[name]) for name, values in begun.items()}
-
-    def _typed(self, values: Any) -> Tensor:
-        """A tensor of numbers in the type of the state."""
-        return values.to(self.dtype) if isinstance(values, Tensor) and values.is_floating_point() else values
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def context(self, play: Play) -> SensorContext:
@@ -414,27 +413,27 @@ class TaskTensors:
         Raises:
             InputError: a function does; the message names the task and the function or sensor.
         """
-        sim, who = _on_meta(copy.copy(self)), self.task.name
+        sim, who = on_meta(copy.copy(self)), self.task.name
         sim.device = torch.device("meta")
         blank = Play.before_the_first(torch.zeros(worlds, dtype=torch.int64, device="meta"), self.dtype, {})
-        with _in_words(f"{who}: the function begin"):
+        with in_words(f"{who}: the function begin"):
             rollout = TensorRollout(sim, blank, None)
             begun = self.task.begin(rollout, torch.arange(worlds, device="meta"))  # type: ignore[arg-type]
             if begun is None and rollout.memory is not None:
                 raise TypeError("it sets play.memory, and must return it: arrays [W, ...] by name")
-            _require_tensors(begun or {}, worlds)
+            require_tensors(begun or {}, worlds)
         play = blank._replace(memory=sim._begun(blank))
-        with _in_words(f"{who}: the function judge"):
+        with in_words(f"{who}: the function judge"):
             rollout = TensorRollout(sim, play, dict(play.memory))
             outcome = self.task.judge(rollout)  # type: ignore[arg-type]
             flags = {name: getattr(outcome, name) for name in ("terminated", "success")}
-            _require_tensors({"reward": outcome.reward, **flags, **rollout.memory}, worlds)
+            require_tensors({"reward": outcome.reward, **flags, **rollout.memory}, worlds)
             if strange := set(rollout.memory) ^ set(play.memory):
                 raise TypeError(f"begin and judge must remember the same; {', '.join(sorted(strange))} differ")
         for name in names:
-            with _in_words(f"{who}: the sensor {name} of robot"):
+            with in_words(f"{who}: the sensor {name} of robot"):
                 sensor = self.task.sensors("robot")[name]
-                _require_tensors({"it": sensed(name, sensor, sim.context(play), who, "robot")}, worlds)
+                require_tensors({"it": sensed(name, sensor, sim.context(play), who, "robot")}, worlds)
 
 
 def _choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
@@ -442,7 +441,13 @@ def _choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
     return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
-def _require_tensors(values: Mapping[str, Any], worlds: int) -> None:
+def typed(values: Any, dtype: torch.dtype) -> Tensor:
+    """A tensor of numbers in the type of the state."""
+    return values.to(dtype) if isinstance(values, Tensor) and values.is_floating_point() else values
+
+
+def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
+    """Raises a TypeError for a value that is no tensor without data with a row for each world."""
     for name, value in values.items():
         if not isinstance(value, Tensor):
             raise TypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
@@ -451,7 +456,7 @@ def _require_tensors(values: Mapping[str, Any], worlds: int) -> None:
 
 
 @contextmanager
-def _in_words(which: str) -> Iterator[None]:
+def in_words(which: str) -> Iterator[None]:
     """Faults of a task's function as one sentence."""
     try:
         yield
@@ -466,7 +471,7 @@ def _in_words(which: str) -> Iterator[None]:
         ) from fault
 
 
-def _on_meta(thing: Any) -> Any:
+def on_meta(thing: Any) -> Any:
     """The same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
     for name, value in vars(thing).items():
         if isinstance(value, Tensor):
@@ -474,5 +479,5 @@ def _on_meta(thing: Any) -> Any:
         elif isinstance(value, dict) and any(isinstance(v, Tensor) for v in value.values()):
             object.__setattr__(thing, name, {key: v.to("meta") for key, v in value.items()})
         elif is_dataclass(value) and any(isinstance(v, Tensor) for v in vars(value).values()):
-            object.__setattr__(thing, name, _on_meta(copy.copy(value)))
+            object.__setattr__(thing, name, on_meta(copy.copy(value)))
     return thing

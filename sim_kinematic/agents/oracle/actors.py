@@ -5,7 +5,7 @@ Their rules (`sim_kinematic.agents.oracle.rules`) are shared with worlds on a de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -23,14 +23,14 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, SkillResult
+from sim_kinematic.agents.skills import CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Skill, SkillResult
 from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
 
 
 class SubGoal(NamedTuple):
-    """Place to which a skill with an object leads."""
+    """Place to which a skill with an object, a door or a drawer leads."""
 
     ways: PathTable
     """Shortest paths to the places from which the agent reaches the object."""
@@ -49,10 +49,14 @@ class SubGoals:
     starts: Array
     """Starts of the objects [K, 3] [m]."""
     goals: Array
+    to_part: Mapping[int, SubGoal]
+    """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with what opens as it is at rest."""
 
     def of(self, action: Action, poses: Array) -> SubGoal:
-        """Returns the sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
+        """Returns the sub-goal of a skill with an object or at a handle, given the poses [K, 7] of all objects."""
         k = action.target
+        if action.skill in OPENING_SKILLS:
+            return self.to_part[k]
         # exactly, because an oracle agent puts an object at its goal to the bit
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
@@ -224,8 +228,10 @@ def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
     # without an object there is no place to be at
     if why or action.target < 0:
         return why
+    if action.skill in OPENING_SKILLS and action.target not in actor.errands.to_part:
+        return "no_way"
     errand = actor.errands.of(action, actor.objects.poses)
-    if action.skill in ("nav_to_object", "nav_to_goal"):
+    if action.skill.startswith("nav"):
         return "no_way" if errand.ways.start(actor.xz) == NONE else ""
     return "" if actor.errands.reaches(errand, actor.xz, actor.facing_error(errand)) else "out_of_reach"
 
@@ -237,7 +243,7 @@ def _handling(
     stands: Callable[[], None],
     steps: tuple[int, int],
 ) -> Skill:
-    """Stands for a pick or a place, in the course of which the object changes hands."""
+    """Stands for a pick or a place, in the course of which the object changes hands, or until a part opens or closes."""
     changes, ends = steps
     for step in range(1, ends + 1):
         stands()
@@ -250,8 +256,13 @@ def _handling(
 
 
 def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoal) -> str:
-    """Takes an object or puts it down; returns why that fails."""
+    """Takes an object or puts it down, opens or closes a part; returns why that fails."""
     objects, k = actor.objects, action.target
+    if action.skill in OPENING_SKILLS:
+        objects.openables.move(
+            k, getattr(objects.openables.joints, "opened" if action.skill == "open" else "closed")[k]
+        )
+        return ""
     if action.skill == "place":
         objects.held_by[k] = NOBODY
         objects.poses[k, :3] = errand.point

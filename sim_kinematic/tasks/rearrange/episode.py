@@ -113,6 +113,8 @@ class RearrangeSpec:
     observe: str = field(default="full", repr=False)
     """``full``: policies know where all things are; ``seen``: only of those that the agent itself has seen
     (`sim_kinematic.sensing.sight`)."""
+    parts: int = field(default=0, repr=False)
+    """Number of doors and drawers that agents may choose to open by number; which ones says `Rearrange.parts_of`."""
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""
@@ -147,9 +149,15 @@ ORACLE_RULES = RearrangeSpec(
 """Rules for the paper's robot and person with oracle skills, as `h3data.make("rearrange", device=...)` plays them."""
 
 
+def with_oracle_skills(spec: Any) -> Any:
+    """Rules, also of a task derived from rearrangement, with those for oracle skills taken from `ORACLE_RULES`."""
+    fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
+    return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
+
+
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
-    """The rules of an episode that is sampled in a home now: its floor moves if something there opens."""
-    return replace(spec, floor_moves=bool(scene.articulations))
+    """The rules of an episode that is sampled in a home now: its floor moves if something there opens by full skills."""
+    return replace(spec, floor_moves=bool(scene.articulations) and spec.oracle is None)
 
 
 class Target(NamedTuple):
@@ -247,7 +255,13 @@ def draw_episode(
     fits = robot_fits(robot, spec.robot, scene, free)
     movable, doorways = _movable(scene, spec), RoomDoors.of(scene, free)
     # drawers are reached from above once they are open, however low the room that they slide into
-    surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
+    # oracle skills open only what the task asks for, so nothing lies in what opens
+    shut = {} if spec.oracle is None else joints_of(scene).enclosing
+    surfaces = [
+        (i, r)
+        for i, r in scene.receptacles()
+        if (r.clearance_m >= spec.open_m or is_drawer(scene, i)) and f"{i.name}|{r.name}" not in shut
+    ]
     # two pieces of furniture, as a goal lies on another one than the object
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
@@ -491,8 +505,7 @@ class _EpisodeSampler:
     @cached_property
     def _centers(self) -> Array:
         """Middle of each surface on the floor plane [S, 2]."""
-        middles = [instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces]
-        return np.array(middles)[:, [0, 2]]
+        return np.array([instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces])[:, [0, 2]]
 
     def _ways(self, here: Array) -> Array:
         """Length of the way from ``here`` [2] to each surface [S] [m], about."""

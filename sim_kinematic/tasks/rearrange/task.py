@@ -111,8 +111,16 @@ class Rearrange(Task):
         starts, targets = draw_episode(scene, free, seed, spec, robot, person)
         return starts, {"targets": targets}
 
+    def parts_of(self, episode: RearrangeEpisode) -> tuple[int, ...]:
+        """Return the joints of the doors and drawers that agents may choose to open by number, ``spec.parts`` of them.
+
+        They follow from the episode. Oracle skills, and so worlds on a device, open no others.
+        """
+        del episode
+        return ()
+
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: Any, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
         """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
         del rows
         play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)

@@ -11,8 +11,11 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.oracle.actors import SubGoals
-from sim_kinematic.agents.oracle.ways import paths_to
+from h3data.scene.articulation import joints_of
+from sim_kinematic.agents.opening.doorways import RoomDoors
+from sim_kinematic.agents.opening.reachable import openables_at
+from sim_kinematic.agents.oracle.actors import SubGoal, SubGoals
+from sim_kinematic.agents.oracle.ways import PathTable, paths_to
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
@@ -25,32 +28,37 @@ Stands = tuple[Array, Callable[[Array], bool]]
 """Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
 
 
-def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
+def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = ()) -> SubGoals:
     """Return the errands of an agent in an episode, which are computed once and kept in the episode.
 
+    ``parts`` are the joints of the doors and drawers that the agent may open (`Rearrange.parts_of`).
+
     Raises:
-        InputError: The home has doors or drawers that open.
+        InputError: A closed door is between the rooms of the home.
     """
     # beside the fields of the frozen episode: replace() leaves it out, so other agents have their own
     known = vars(episode).setdefault("_errands", {})
     if number not in known:
-        if episode.scene.articulations:
+        openables = openables_at(episode.scene, joints_of(episode.scene).rest)
+        if RoomDoors.of(episode.scene, episode.free).any_closed(openables.positions):
             raise InputError(
-                f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other scenes, or "
-                "rules without oracle.",
+                f"Oracle skills open no doors on their way, and {episode.scene.name} has closed ones. Hint: other scenes, "
+                "or rules without oracle.",
                 code="H3-TASK-015",
             )
         # paths to the places where the agent takes and puts down each object
         starts = np.array([target.start[:3] for target in episode.targets], np.float64)
         goals = np.array([target.goal for target in episode.targets], np.float64)
         floor = agent_floor(episode, number)
-        ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
+        handles, count = openables.handles(openables.positions)[list(parts)], len(starts)
+        ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals, *handles])]
         known[number] = SubGoals(
             oracle=episode.spec.oracle or OracleSpec(),
-            to_start=ways[: len(starts)],
-            to_goal=ways[len(starts) :],
+            to_start=ways[:count],
+            to_goal=ways[count : 2 * count],
             starts=starts,
             goals=goals,
+            to_part=dict(zip(parts, map(SubGoal, ways[2 * count :], handles), strict=True)),
         )
     return known[number]
 

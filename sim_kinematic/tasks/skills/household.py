@@ -41,6 +41,7 @@ from sim_kinematic.agents.skills import (
     Action,
     Message,
     Objects,
+    choices,
 )
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
@@ -100,6 +101,8 @@ class Household(Team):
         del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
+        self.parts: tuple[int, ...] = play.task.parts_of(episode)
+        """Joints of the doors and drawers that agents may choose by number (`Rearrange.parts_of`)."""
         names, joints = tuple(t.name for t in episode.targets), joint_names(episode.scene)
         state.object_pose[0] = [t.start for t in episode.targets]
         goals = np.array([t.goal for t in episode.targets], np.float64)
@@ -120,7 +123,11 @@ class Household(Team):
         """Everything that has been said so far."""
         self.company = self._introduced()
         # after the company, which doors must not open into
-        self.objects.openables = self._openables()
+        self.objects.openables = openables = self._openables()
+        self.handles: Any = (
+            openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
+        )
+        """Places of the handles of `parts` at rest, [M, 3] [m]."""
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
@@ -174,7 +181,7 @@ class Household(Team):
                     spec.grip_m,
                     spec.arm_rad_s,
                     number,
-                    errands=errands_of(world, number),
+                    errands=errands_of(world, number, self.parts),
                 )
             learned = skills_of(spec.skills, robot=world.roster[number].model)
             return RobotActor(
@@ -189,7 +196,7 @@ class Household(Team):
         sizes = grip_radii(world.scene, self.objects.names)
         person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes, state=own)
         if spec.oracle is not None:
-            errands = errands_of(world, number)
+            errands = errands_of(world, number, self.parts)
             return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
         if not self.play.policies[number].takes_commands:
             return PersonActor(person, world.free, spec.human, self.objects, number, room)
@@ -428,7 +435,14 @@ class Household(Team):
             messages=[
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
+            parts=self.parts,
+            open_parts=self.play.open_parts[0],
+            handles=self.handles,
         )
+
+    def choices(self, agent: int) -> tuple[Action, ...]:
+        """Return what an agent can choose among, by number (`sim_kinematic.agents.skills.choices`)."""
+        return choices(len(self.starts), robot=isinstance(self.actors[agent], RobotActor), parts=self.parts)
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
         """Positions, holders, and which are at their goals, of all things as an agent knows them, and places to look at."""
@@ -535,8 +549,8 @@ class Household(Team):
             shown = {name: np.nan_to_num(values) for name, values in shown.items()}
         return shown
 
-    def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
-        """Return facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
+    def info(self, number: int) -> dict[str, Any]:
+        """Return facts about an agent's last skill, the objects, and which of its choices are possible now."""
         ending = self.controllers[number].ending
         return {
             "outcome": ending.outcome if ending else "running",
@@ -544,7 +558,9 @@ class Household(Team):
             "collision": bool(self.company.touching),
             "at_goal": self.at_goal.copy(),
             "held_by": self.objects.held_by.copy(),
-            "action_mask": np.array([not self.objects.why_not(number, action) for action in known], np.int8),
+            "action_mask": np.array(
+                [not self.objects.why_not(number, action) for action in self.choices(number)], np.int8
+            ),
         }
 
     def scenery(self, world: int) -> dict[str, Any]:

@@ -82,17 +82,21 @@ class Pair:
     """Worlds on the device beside plays of the same episodes on the CPU."""
 
     def __init__(
-        self, episodes: Sequence[RearrangeEpisode], *, outside: Sequence[str], partner: str = "plan_pop_4"
+        self,
+        episodes: Sequence[RearrangeEpisode],
+        *,
+        outside: Sequence[str],
+        partner: str = "plan_pop_4",
+        task: Rearrange | None = None,
     ) -> None:
-        self.bank = RearrangeBank.of(episodes)
+        task = task or Rearrange()
+        self.bank = RearrangeBank.of(episodes, task=task)
         planners = set(KINDS) - set(outside)
-        self.sim = RearrangeTensors(self.bank, device="cpu", planners=planners, partner=partner)
+        self.sim = RearrangeTensors(self.bank, task=task, device="cpu", planners=planners, partner=partner)
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
-        task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
         self.plays = [WorldRollout.of(task, e, assign(task, e, chosen)) for e in episodes]
         self.turns = [DecisionLoop(play) for play in self.plays]
-        self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
 
     def does(self, kind: str) -> Any:
@@ -103,15 +107,17 @@ class Pair:
         found = np.full((len(self.plays), 2), FREE)
         for n, play in enumerate(self.plays):
             for agent, kind in enumerate(KINDS):
-                does, known = self.does(kind), self.known[kind]
+                does, known = self.does(kind), play.team.choices(agent)
                 skill, last, outcome = (int(t[n]) for t in (does.skill, does.last, does.outcome))
                 if skill != FREE and rng.random() > 0.03:
                     continue
                 may = [c for c, action in enumerate(known) if not play.team.objects.why_not(agent, action)]
                 weights = np.array([1.0 if known[c].target < 0 else 6.0 for c in may])
                 found[n, agent] = rng.choice(may, p=weights / weights.sum())
-                if outcome == DONE and last < 4 and last + 4 in may and rng.random() < 0.9:
-                    found[n, agent] = last + 4
+                # as many choices further on, what can be done where the agent has gone
+                after = last + (4 if last < 4 else len(play.team.parts))
+                if outcome == DONE and known[last].skill.startswith("nav") and after in may and rng.random() < 0.9:
+                    found[n, agent] = after
         return found
 
     def step(self, chosen: np.ndarray, on_view: Any = None) -> None:
@@ -122,14 +128,14 @@ class Pair:
                 continue
             while turns.asked is not None:
                 agent = turns.asked
-                policy = play.policies[agent].policy
+                policy, known = play.policies[agent].policy, play.team.choices(agent)
                 running = play.team.controllers[agent]
                 if not isinstance(policy, External):
                     turns.answer(policy.act(play.view(agent)))
                 elif chosen[n, agent] != FREE:
-                    turns.answer(self.known[KINDS[agent]][chosen[n, agent]])
+                    turns.answer(known[chosen[n, agent]])
                 else:  # it goes on, or waits
-                    turns.answer(running.action if running.skill is not None else self.known[KINDS[agent]][8])
+                    turns.answer(running.action if running.skill is not None else known[8])
             self.compare(n, play, at_goal[n])
             if on_view is not None:
                 on_view(n, play)
@@ -152,7 +158,10 @@ class Pair:
         assert float(state.reward[n]) == pytest.approx(play.reward, abs=1e-12)
         for agent, kind in enumerate(KINDS):
             action, last = play.team.controllers[agent].action, int(self.does(kind).last[n])
-            assert self.known[kind][last][:2] == action[:2]
+            assert play.team.choices(agent)[last][:2] == action[:2]
+        np.testing.assert_array_equal(state.opened[n], play.open_parts[0])
+        for name, values in state.memory.items():
+            np.testing.assert_array_equal(values[n], play.memory[name][0])
         self.seen["picked"] += int((play.team.objects.held_by >= 0).any())
 
 

@@ -14,8 +14,10 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
+from examples.fetch import Fetch  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
-from h3data_training.torch.rearrange.observations import OBSERVED, OF_PATHS, View, observed  # noqa: E402
+from h3data_training.torch.rearrange.observations import OBSERVED, OF_PATHS, View, observed, observed_of  # noqa: E402
+from h3data_training.torch.rearrange.state import DONE, FREE  # noqa: E402
 from h3data_training.torch.social_nav import ON_DEVICES, SocialNavTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.motion.state import NOBODY  # noqa: E402
@@ -25,11 +27,11 @@ from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES, OF_COMMANDS, E
 from sim_kinematic.sensing.table import AHEAD_M, LIDARS, OF_SKILLS, TABLE, Pose  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
-from tests.training.torch import test_rearrange, test_skills, test_social_nav  # noqa: E402
+from tests.training.torch import test_fetch, test_rearrange, test_skills, test_social_nav  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
-WORLDS, OBJECTS, JOINTS, CHOICES = 5, 2, 7, 13
-COUNTS = {"once": 1, "objects": OBJECTS, "joints": JOINTS, "choices": CHOICES}
+WORLDS, OBJECTS, JOINTS, CHOICES, PARTS = 5, 2, 7, 13, 2
+COUNTS = {"once": 1, "objects": OBJECTS, "joints": JOINTS, "choices": CHOICES, "parts": PARTS}
 
 
 # --- each row is one function -------------------------------------------------------------------------------------------
@@ -58,6 +60,7 @@ class AnyContext:
         self.target, self.resting, self.point = numbers(3), numbers(3), numbers(2)
         self.held_by = array(rng.integers(NOBODY, 2, (WORLDS, OBJECTS)))
         self.steps = array(rng.integers(0, 900, WORLDS))
+        self.handles, self.open_parts = numbers(PARTS, 3), flags(PARTS)
         self.points = numbers(OBJECTS, len(AHEAD_M), 2)
         lengths = rng.uniform(0, 9, (WORLDS, 8, OBJECTS))
         self.lengths = array(lengths)
@@ -170,13 +173,35 @@ def _rearrange() -> Pairs:
             shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
         for agent, kind in enumerate(test_rearrange.KINDS):
             mine, mask = shown[kind]
-            known = pair.known[kind]
+            known = play.team.choices(agent)
             np.testing.assert_array_equal(mask[n], [not play.team.objects.why_not(agent, action) for action in known])
             for name, values in exact([play.view(agent)], names).items():
                 found[name].append((values, mine[name][n : n + 1].numpy()))
 
     for step in range(135):
         pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
+    return found
+
+
+def _fetch() -> Pairs:
+    """A robot that opens a drawer, closes it and opens it again, and a person who stands, in 2 worlds."""
+    found: Pairs = {name: [] for name in SHOWN["fetch"]}
+    episodes = [test_fetch.before_the_drawer(episode) for episode in test_fetch.drawn(2)]
+    pair = test_rearrange.Pair(episodes, outside=test_rearrange.KINDS, task=Fetch())
+    choice = np.full(2, test_fetch.TO_HANDLE)
+
+    def compare(n: int, play: Any) -> None:
+        for agent, kind in enumerate(test_rearrange.KINDS):
+            mine = observed(View.of(pair.sim, pair.state, kind), SHOWN["fetch"])
+            for name, values in exact([play.view(agent)], SHOWN["fetch"]).items():
+                found[name].append((values, mine[name][n : n + 1].numpy()))
+
+    for _ in range(30):
+        pair.step(np.stack([choice, np.full(2, test_fetch.WAIT)], 1), compare)
+        does = pair.state.robot_does
+        ends = (does.skill == FREE) & (does.outcome == DONE)
+        after = torch.where(does.last == test_fetch.OPEN, test_fetch.CLOSE, test_fetch.OPEN)
+        choice = torch.where(ends, after, FREE).numpy()
     return found
 
 
@@ -206,7 +231,8 @@ def _skill() -> Pairs:
 @cache
 def shown_by(task: str) -> Mapping[str, tuple[Any, Any]]:
     """What the CPU and a device have shown of a task, [N, n] each, by sensor."""
-    run: Callable[[], Pairs] = {"social_nav": _social_nav, "rearrange": _rearrange, "skill": _skill}[task]
+    runs = {"social_nav": _social_nav, "rearrange": _rearrange, "fetch": _fetch, "skill": _skill}
+    run: Callable[[], Pairs] = runs[task]
     both = {name: tuple(np.concatenate(side) for side in zip(*pairs, strict=True)) for name, pairs in run().items()}
     return {name: (cpu, device) for name, (cpu, device) in both.items()}
 
@@ -214,6 +240,11 @@ def shown_by(task: str) -> Mapping[str, tuple[Any, Any]]:
 SHOWN = {
     "social_nav": ON_DEVICES,
     "rearrange": tuple(name for name in OBSERVED if TABLE[name].times != "choices" and name != "elapsed_s"),
+    "fetch": tuple(
+        name
+        for name in observed_of(Fetch().sensors("robot"), Fetch.Spec().parts)
+        if TABLE[name].times != "choices" and name not in ("elapsed_s", *OF_PATHS)
+    ),
     "skill": OF_SKILLS,
 }
 """What is compared: all but how skills ended and how long an episode lasts, of which one world is a step ahead of the other
@@ -225,6 +256,8 @@ def test_a_device_shows_what_the_cpu_shows(task: str, name: str) -> None:
     cpu, device = shown_by(task)[name]
     assert cpu.shape == device.shape
     assert len(cpu) >= 72
+    if name == "part_is_open":
+        assert 0.2 < cpu.mean() < 0.8
     if name in LIDARS:  # a ray that only just misses an edge may hit it on a device
         off = np.abs(device - cpu)
         assert np.median(off) < 1e-5

@@ -15,10 +15,10 @@ pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
 import h3data  # noqa: E402
-from examples.fetch import Fetch  # noqa: E402
 from examples.point_goal import PointGoal, PointGoalSpec  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.sensors import Sensor  # noqa: E402
+from h3data.tasks import SkillControl  # noqa: E402
 from h3data_training.envs.task_torch_env import TaskTorchEnv  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.task_worlds import TaskTensors  # noqa: E402
@@ -197,6 +197,12 @@ class Crowded(PointGoal):
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human")
 
 
+class Skilled(PointGoal):
+    """Agents with skills in a task that does not derive from rearrangement."""
+
+    control: ClassVar[Any] = SkillControl()
+
+
 class WantsObjects(PointGoal):
     """Shows where objects are, in worlds without."""
 
@@ -220,7 +226,7 @@ class WantsObjects(PointGoal):
             WantsObjects(),
             "H3-SIM-055",
         ),
-        (Fetch(), "H3-ENV-035"),
+        (Skilled(), "H3-ENV-035"),
         ("wander", "H3-ENV-036"),
     ],
     ids=lambda case: type(case).__name__ if not isinstance(case, str) else "",

@@ -44,8 +44,9 @@ class BankFloor(Floor, Protocol):
 class RearrangeBank:
     """N episodes of K objects in R homes, with the shortest paths in them.
 
-    Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all. Points of a path are the n corners of
-    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
+    Paths to places are numbered ``(who * 2 + at_goal) * K + object``, with ``who = 2`` for the floor below; then come those
+    of both agents to the M handles of what they may choose to open, ``6 K + who * M + part``; F in all. Points of a path are
+    the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
     """
 
     spec: RearrangeSpec
@@ -62,7 +63,7 @@ class RearrangeBank:
     starts: Array
     """``(x, z, heading)`` of robot and person, [N, 2, 3]."""
     spots: Array
-    """Places of each object at the beginning, then its goals, [N, 2 K, 3] [m]."""
+    """Places of each object at the beginning, then its goals, then handles at rest, [N, 2 K + M, 3] [m]."""
     ends: Array
     """Places at the ends of the paths, [N, F, S, 2] [m]; NaN where there are fewer."""
     first: NDArray[np.int16]
@@ -96,6 +97,7 @@ class RearrangeBank:
         spec: RearrangeSpec = ORACLE_RULES,
         robot: str = "quad_arm",
         human: str = "female_0",
+        task: Rearrange | None = None,
     ) -> RearrangeBank:
         """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
@@ -105,27 +107,29 @@ class RearrangeBank:
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
             raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
-        source = EpisodeSource(Rearrange(), scenes, spec=spec, robot=robot, human=human)
+        task = task or Rearrange()
+        source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)
         episodes = [source.sample(*run) for run in runs]
-        return cls.of([one for one in episodes if isinstance(one, RearrangeEpisode)])
+        return cls.of([one for one in episodes if isinstance(one, RearrangeEpisode)], task=task)
 
     @classmethod
-    def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
-        """Return a bank of these episodes of one robot and one person, under the rules of the first.
+    def of(cls, episodes: Sequence[RearrangeEpisode], *, task: Rearrange | None = None) -> RearrangeBank:
+        """Return a bank of these episodes of one robot and one person, under the rules of the first; ``task`` made them.
 
         Raises:
             InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
         """
         spec, roster = episodes[0].spec, episodes[0].roster
-        _check(episodes)
+        parts = [(task or Rearrange()).parts_of(episode) for episode in episodes]
+        _check(episodes, parts, (task or Rearrange()).name)
         robot, human = (member.body for member in roster)
         assert isinstance(robot, Robot)
         assert isinstance(human, Humanoid)
         homes = {id(episode.free): episode for episode in episodes}
         number = {key: k for k, key in enumerate(homes)}
-        ways = [_ways(episode) for episode in episodes]
+        ways = [_ways(episode, own) for episode, own in zip(episodes, parts, strict=True)]
         widest = max(len(one.ends) for of_episode in ways for one in of_episode)
         ends = np.full((len(episodes), len(ways[0]), max(widest, 1), 2), np.nan)
         for n, of_episode in enumerate(ways):
@@ -133,7 +137,7 @@ class RearrangeBank:
                 ends[n, f, : len(one.ends)] = one.ends
         floors = tuple(episode.free for episode in homes.values())
         sample = {number[id(episode.free)]: of_episode[0] for episode, of_episode in zip(episodes, ways, strict=True)}
-        below = [of_episode[FLOOR * 2 * spec.objects :] for of_episode in ways]
+        below = [of_episode[FLOOR * 2 * spec.objects : (FLOOR + 1) * 2 * spec.objects] for of_episode in ways]
         first, first_of = _joined([[one.first for one in of_episode] for of_episode in ways])
         after, after_of = _joined([[one.after for one in of_episode] for of_episode in ways])
         left, left_of = _joined([[one.left.astype(np.float32) for one in of_episode] for of_episode in below])
@@ -146,7 +150,7 @@ class RearrangeBank:
             place=np.array([number[id(episode.free)] for episode in episodes], np.int64),
             seeds=np.array([episode.seed for episode in episodes], np.int64),
             starts=np.array([episode.starts for episode in episodes]),
-            spots=np.array([[*(t.start[:3] for t in e.targets), *(t.goal for t in e.targets)] for e in episodes]),
+            spots=np.array([_spots(episode, own) for episode, own in zip(episodes, parts, strict=True)]),
             ends=ends,
             first=first,
             first_of=first_of,
@@ -227,13 +231,20 @@ def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
 
 
-def _ways(episode: RearrangeEpisode) -> list[PathTable]:
+def _ways(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[PathTable]:
     """All paths of an episode, [F]."""
-    found = []
+    found, opening = [], []
     for number in (ROBOT, HUMAN):
-        errands = errands_of(episode, number)
+        errands = errands_of(episode, number, parts)
         found += [*errands.to_start, *errands.to_goal]
-    return [*found, *floor_paths(episode)]
+        opening += [errands.to_part[joint].ways for joint in parts]
+    return [*found, *floor_paths(episode), *opening]
+
+
+def _spots(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[Array]:
+    """Starts and goals of the objects, then handles, [2 K + M, 3]."""
+    handles = [errands_of(episode, ROBOT, parts).to_part[joint].point for joint in parts]
+    return [*(t.start[:3] for t in episode.targets), *(t.goal for t in episode.targets), *handles]
 
 
 def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:
@@ -246,7 +257,7 @@ def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.in
     return np.concatenate([*flat, np.zeros(1, flat[0].dtype)]), np.cumsum([0, *sizes[:-1]])
 
 
-def _check(episodes: Sequence[RearrangeEpisode]) -> None:
+def _check(episodes: Sequence[RearrangeEpisode], parts: Sequence[tuple[int, ...]], task: str) -> None:
     first = episodes[0]
     if first.spec.oracle is None:
         raise InputError(
@@ -254,7 +265,12 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
             "leave out device.",
             code="H3-TRAIN-061",
         )
-    refuse_others(Rearrange.name, first.spec)
+    refuse_others(task, first.spec)
+    if wrong := next((own for own in parts if len(own) != first.spec.parts), None):
+        raise InputError(
+            f"Rules of {task} have {first.spec.parts} doors and drawers to open (parts), and parts_of gives {wrong}.",
+            code="H3-TRAIN-090",
+        )
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
         models = [[member.model for member in one.roster] for one in (episode, first)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Literal, NamedTuple
 
@@ -10,14 +11,14 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from h3data_training.torch.rearrange.bank import FLOOR
-from h3data_training.torch.rearrange.skills import Choices, Hands, every_choice, one_of, precondition
-from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Play, SubGoal
+from h3data_training.torch.rearrange.skills import Choices, every_choice, one_of, precondition
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Hands, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from h3data_training.torch.seen import read_sensors
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.sensing.sensor import FAR_M
-from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose
+from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose, Sensor
 from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
@@ -105,8 +106,8 @@ class View(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects with their holders, and who moved or placed them."""
-        return Hands(self.play.objects, self.play.held_by, self.play.moved, self.play.placed_by)
+        """What hands change."""
+        return self.play.hands
 
     @property
     def before(self) -> Pose:
@@ -144,7 +145,17 @@ class View(NamedTuple):
     @property
     def goals(self) -> Tensor:
         """Goals of objects, [W, K, 3] [m]."""
-        return self.sim.tables.spots[self.play.episode, self.sim.bank.objects :]
+        return self.sim.tables.goals(self.play.episode)
+
+    @property
+    def handles(self) -> Tensor:
+        """Handles of the doors and drawers that the agent may choose to open, at rest, [W, M, 3] [m]."""
+        return self.sim.tables.handles(self.play.episode)
+
+    @property
+    def open_parts(self) -> Tensor:
+        """True for those that stand open, bool [W, M]."""
+        return self.play.opened
 
     @property
     def at_goal(self) -> Tensor:
@@ -194,10 +205,14 @@ class View(NamedTuple):
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 
-OBSERVED = tuple(
-    name for name, sensor in SENSES.items() if sensor.frame not in ("hand", "start") and sensor.times != "joints"
-)
-"""Sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
+def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
+    """Names of the sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
+    lacking = ("joints",) if parts else ("joints", "parts")
+    return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
+
+
+OBSERVED = observed_of(SENSES, 0)
+"""Sensors of rearrangement on a device."""
 OF_PATHS = (
     "way_to_objects",
     "way_to_goals",
@@ -210,20 +225,20 @@ OF_PATHS = (
 """Observations that `Paths` are needed for."""
 
 
-def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The names, each once.
+def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED) -> tuple[str, ...]:
+    """The names, each once, if they are ``known``.
 
     Raises:
         InputError: a device does not show one of them.
     """
-    unknown = [name for name in names if name not in OBSERVED]
+    unknown = [name for name in names if name not in known]
     if unknown or not names:
-        raise InputError(f"On a device there are {', '.join(OBSERVED)}, got {unknown or 'none'}.", code="H3-TRAIN-068")
+        raise InputError(f"On a device there are {', '.join(known)}, got {unknown or 'none'}.", code="H3-TRAIN-068")
     return tuple(dict.fromkeys(names))
 
 
-def observed(view: View, names: tuple[str, ...]) -> dict[str, Tensor]:
+def observed(view: View, names: tuple[str, ...], sensors: Mapping[str, Sensor] = SENSES) -> dict[str, Tensor]:
     """The named observations, each float32 [W, n]."""
     if view.paths is None and any(name in OF_PATHS for name in names):
         view = view._replace(paths=Paths.of(view.sim, view.play, view.places))
-    return read_sensors(view, names)
+    return read_sensors(view, names, sensors)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import Humanoid, Robot
-from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, SubGoal
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, Hands, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, drive_robots, walk_humans, wrap_angle
@@ -24,6 +24,8 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
 
 NAV_OBJECT, NAV_GOAL, PICK, PLACE, WAIT = range(5)
 """Kinds of choices; primitives come after them."""
+NAV_HANDLE, OPEN, CLOSE = range(WAIT + 1 + len(PRIMITIVES), WAIT + 4 + len(PRIMITIVES))
+"""Kinds of choices with a door or a drawer, of `sim_kinematic.agents.skills.OPENING_SKILLS`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,6 +37,8 @@ class Choices:
     kind: Tensor
     target: Tensor
     """Number of the choice's object; 0 if it has none."""
+    part: Tensor
+    """Number of the choice's door or drawer; 0 if it has none."""
     steps: Tensor
     """Number of steps that each choice lasts; 0 for those that go somewhere."""
     command: Tensor
@@ -46,12 +50,20 @@ class Choices:
 
     @classmethod
     def of(
-        cls, body: Robot | Humanoid, objects: int, oracle: OracleSpec, device: torch.device, dtype: torch.dtype
+        cls,
+        body: Robot | Humanoid,
+        objects: int,
+        oracle: OracleSpec,
+        device: torch.device,
+        dtype: torch.dtype,
+        parts: int = 0,
     ) -> Choices:
         """Returns the choices of a robot or a person."""
+        opening = [kind for kind in (NAV_HANDLE, OPEN, CLOSE) for _ in range(parts)]
         primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
         changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
         kinds = [kind for kind in range(4) for _ in range(objects)] + list(range(WAIT, WAIT + 1 + len(primitives)))
+        own = len(kinds)  # what all tasks have
         handling = [0] * (2 * objects) + [ends] * (2 * objects)
 
         def whole(values: list[int]) -> Tensor:
@@ -60,25 +72,26 @@ class Choices:
         still = [(0.0, 0.0)] * (4 * objects + 1)
         return cls(
             who=0 if isinstance(body, Robot) else 1,
-            kind=whole(kinds),
-            target=whole([*list(range(objects)) * 4, *[0] * (1 + len(primitives))]),
-            steps=whole([*handling, CHOICE_WAIT_STEPS, *(steps for *_, steps in primitives)]),
-            command=torch.tensor([*still, *((f, t) for f, t, _ in primitives)], dtype=dtype, device=device),
+            kind=whole([*kinds, *opening]),
+            target=whole([*list(range(objects)) * 4, *[0] * (1 + len(primitives) + len(opening))]),
+            part=whole([*[0] * own, *list(range(parts)) * 3]),
+            steps=whole(
+                [
+                    *handling,
+                    CHOICE_WAIT_STEPS,
+                    *(steps for *_, steps in primitives),
+                    *(0 if kind == NAV_HANDLE else ends for kind in opening),
+                ]
+            ),
+            command=torch.tensor(
+                [*still, *((f, t) for f, t, _ in primitives), *[(0.0, 0.0)] * len(opening)], dtype=dtype, device=device
+            ),
             carry=torch.tensor(carry_point(body), dtype=dtype, device=device),
             changes=changes,
         )
 
     def __len__(self) -> int:
         return len(self.kind)
-
-
-class Hands(NamedTuple):
-    """Objects of W worlds and their holders (`h3data_training.torch.rearrange.state.Play`)."""
-
-    objects: Tensor
-    held_by: Tensor
-    moved: Tensor
-    placed_by: Tensor
 
 
 class Turn(NamedTuple):
@@ -111,10 +124,11 @@ def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
     full = (hands.held_by == choices.who).any(1)
     full = full[:, None] if k.ndim == 2 else full
     mine, free = holder == choices.who, holder == NOBODY
+    other = ~full | (kind < OPEN)
     return torch.where(
         kind == NAV_OBJECT,
         free,
-        torch.where(kind == PICK, free & ~full, torch.where(kind == PLACE, mine, torch.ones_like(mine))),
+        torch.where(kind == PICK, free & ~full, torch.where(kind == PLACE, mine, other)),
     )
 
 
@@ -139,10 +153,16 @@ def begin(
     number = torch.where(free, chosen, does.skill)
     kind, k = choices.kind[number], choices.target[number]
     at_goal = (kind == NAV_GOAL) | (kind == PLACE) | of_object(hands.moved, k)
-    field = torch.where(free, (choices.who * 2 + at_goal.long()) * objects + k, does.field)
-    spot = places.spots(field % (2 * objects))
+    wanted = (choices.who * 2 + at_goal.long()) * objects + k
+    if places.tables.parts:
+        handle = 6 * objects + choices.who * places.tables.parts + choices.part[number]
+        wanted = torch.where(kind >= NAV_HANDLE, handle, wanted)
+    field = torch.where(free, wanted, does.field)
+    spot = places.spots(field)
     first = places.first(field, xz)
     goes, handles = (kind == NAV_OBJECT) | (kind == NAV_GOAL), (kind == PICK) | (kind == PLACE)
+    if places.tables.parts:
+        goes, handles = goes | (kind == NAV_HANDLE), handles | (kind >= OPEN)
     gap = places.ends(field) - xz[:, None]
     reached = reaches(oracle, gap, error_to(xz, heading, spot[:, 0::2], bearing))
     can = precondition(choices, number, hands) & (~goes | (first >= 0)) & (~handles | reached)
@@ -243,7 +263,7 @@ def handle(
 ) -> tuple[SubGoal, Hands]:
     """Moves held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
-    timed = (kind >= PICK) & (does.skill != FREE)
+    timed = (kind >= PICK) & (kind != NAV_HANDLE) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)
     one = one_of(k, hands.held_by.shape[1])
     now = timed & (timer == choices.changes)
@@ -257,9 +277,12 @@ def handle(
     objects = torch.where(puts[..., None], spot[:, None], objects)
     placed_by = torch.where(puts, who, torch.where(takes, NOBODY, hands.placed_by))
     moved = (hands.moved | puts) & ~takes
+    part = one_of(choices.part[does.skill.clamp_min(0)], hands.opened.shape[1])
+    opens, closes = (now & (kind == wanted) for wanted in (OPEN, CLOSE))
+    opened = (hands.opened | (opens[:, None] & part)) & ~(closes[:, None] & part)
     over = timed & (timer >= choices.steps[does.skill.clamp_min(0)])
     does = _ended(does._replace(timer=timer), over & ~misses, misses)
-    return does, Hands(objects, held_by, moved, placed_by)
+    return does, Hands(objects, held_by, moved, placed_by, opened)
 
 
 def of_object3(values: Tensor, k: Tensor) -> Tensor:

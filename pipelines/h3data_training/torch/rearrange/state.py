@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import torch
@@ -66,6 +66,16 @@ class SubGoal(NamedTuple):
         )
 
 
+class Hands(NamedTuple):
+    """What hands change in W worlds: objects with their holders, and what stands open (`Play`)."""
+
+    objects: Tensor
+    held_by: Tensor
+    moved: Tensor
+    placed_by: Tensor
+    opened: Tensor
+
+
 class Play(NamedTuple):
     """W worlds of robot and person."""
 
@@ -83,6 +93,10 @@ class Play(NamedTuple):
     """Agent that was the last to put each object down, -1 nobody, int64 [W, K]."""
     paid: Tensor
     """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
+    opened: Tensor
+    """True for the doors and drawers of the task that stand open, bool [W, M]."""
+    memory: Mapping[str, Tensor]
+    """Values that a task of one's own stores between steps, [W, ...] each."""
     track: Tensor
     """Places of robot and person at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
     before: Tensor
@@ -104,8 +118,8 @@ class Play(NamedTuple):
     """True if the episode had all its steps, bool [W]."""
 
     @classmethod
-    def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+    def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype, parts: int = 0) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:
@@ -125,6 +139,8 @@ class Play(NamedTuple):
             moved=flags(objects),
             placed_by=nobody.clone(),
             paid=flags(2 * objects),
+            opened=flags(parts),
+            memory={},
             track=numbers(TRACK, 2, 2),
             before=numbers(2, 3),
             episode=episode.clone(),
@@ -137,10 +153,15 @@ class Play(NamedTuple):
             truncated=flags(),
         )
 
+    @property
+    def hands(self) -> Hands:
+        """Objects with their holders, who moved or placed them, and what stands open."""
+        return Hands(self.objects, self.held_by, self.moved, self.placed_by, self.opened)
+
     def tensors(self) -> Iterator[Tensor]:
         """Return all tensors, in a fixed order."""
         for part in self:
-            yield from (part if isinstance(part, tuple) else (part,))
+            yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)
 
 
 def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:

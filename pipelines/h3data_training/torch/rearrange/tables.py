@@ -24,6 +24,8 @@ class Tables:
 
     objects: int
     """Number K of objects."""
+    parts: int
+    """Number M of doors and drawers that agents may choose to open."""
     fields: int
     """Number F of distance fields."""
     place: Tensor
@@ -58,6 +60,7 @@ class Tables:
         ends = np.where(np.isnan(bank.ends), np.inf, bank.ends)
         return cls(
             objects=bank.objects,
+            parts=bank.spec.parts,
             fields=ends.shape[1],
             place=moved(bank.place),
             starts=moved(bank.starts),
@@ -76,6 +79,14 @@ class Tables:
             shapes=moved(bank.shapes),
             floor_y=moved(np.array([floor.floor_y for floor in bank.floors])),
         )
+
+    def goals(self, episode: Tensor) -> Tensor:
+        """Goals of the objects in episodes [W], [W, K, 3] [m]."""
+        return self.spots[episode, self.objects : 2 * self.objects]
+
+    def handles(self, episode: Tensor) -> Tensor:
+        """Handles at rest of the doors and drawers of the task in episodes [W], [W, M, 3] [m]."""
+        return self.spots[episode, 2 * self.objects :]
 
     def at(self, episode: Tensor) -> Places:
         """Returns the tables of the episodes of W worlds."""
@@ -101,8 +112,12 @@ class Places(NamedTuple):
         """Values of worlds [W] with as many axes as ``like`` [W, ...]."""
         return values.reshape(-1, *[1] * (like.ndim - 1))
 
-    def spots(self, number: Tensor) -> Tensor:
-        """Objects' starts and goals by ``at_goal * K + object`` [W]: [W, 3]."""
+    def spots(self, field: Tensor) -> Tensor:
+        """The start, the goal or the handle to which paths [W] lead: [W, 3]."""
+        number, some = field % (2 * self.tables.objects), self.tables.parts
+        if some:
+            handle = field - 6 * self.tables.objects
+            number = torch.where(handle >= 0, 2 * self.tables.objects + handle % some, number)
         return self.tables.spots[self.episode, number]
 
     def ends(self, field: Tensor) -> Tensor:

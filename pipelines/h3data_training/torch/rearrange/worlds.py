@@ -7,16 +7,17 @@ on the CPU (tests/training/torch/test_rearrange.py): places within 1e-9 m in flo
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Literal
+import copy
+from collections.abc import Collection, Mapping
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from h3data_training.torch.rearrange.bank import RearrangeBank
+from h3data_training.torch.rearrange.rollout import SkillTensorRollout
 from h3data_training.torch.rearrange.skills import (
     Choices,
-    Hands,
     begin,
     handle,
     interrupted,
@@ -25,15 +26,17 @@ from h3data_training.torch.rearrange.skills import (
     of_object,
     one_of,
 )
-from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Play, SubGoal, choose
+from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Hands, Play, SubGoal, choose
 from h3data_training.torch.rearrange.tables import Places, Tables
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, heading_direction
+from h3data_training.torch.task_worlds import in_words, on_meta, require_tensors, typed
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.rearrange import Plan
 from sim_kinematic.sensing.sensor import agents_within_threshold
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.skills.household import TRACK
@@ -46,6 +49,7 @@ class RearrangeTensors:
         self,
         bank: RearrangeBank,
         *,
+        task: Rearrange | None = None,
         device: torch.device | str,
         dtype: torch.dtype | None = None,
         planners: Collection[str] = ("human",),
@@ -57,6 +61,7 @@ class RearrangeTensors:
 
         Args:
             bank: the episodes.
+            task: the task that made them, whose `begin` and `judge` are called with tensors; by default rearrangement.
             device: device of all tensors.
             dtype: type of the state: by default float64 on the CPU, else float32.
             planners: which of ``robot`` and ``human`` follow plans; the others are controlled from outside.
@@ -67,6 +72,8 @@ class RearrangeTensors:
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
+        self.task = task or Rearrange()
+        self._is_usual = type(self.task).judge is Rearrange.judge
         self.bank, self.spec, self.planners = bank, bank.spec, frozenset(planners)
         self.interrupts, self._repeats = interrupts, repeats
         self.oracle = bank.spec.oracle or OracleSpec()
@@ -74,7 +81,8 @@ class RearrangeTensors:
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         self._base, self._bearing = base_of(bank.robot, bank.spec.robot), reach_bearing(bank.robot)
         self.robot_choices, self.human_choices = (
-            Choices.of(body, bank.objects, self.oracle, self.device, self.dtype) for body in (bank.robot, bank.human)
+            Choices.of(body, bank.objects, self.oracle, self.device, self.dtype, bank.spec.parts)
+            for body in (bank.robot, bank.human)
         )
         self.orders = torch.as_tensor(bank.orders(partner), device=self.device)
         """Plan of each episode of the bank, [N, K]."""
@@ -85,7 +93,8 @@ class RearrangeTensors:
 
     def before_the_first(self, episode: Tensor) -> Play:
         """Worlds whose first step begins the episodes after ``episode`` [W]."""
-        return Play.before_the_first(episode.to(self.device), self.bank.objects, self.dtype)
+        blank = Play.before_the_first(episode.to(self.device), self.bank.objects, self.dtype, self.spec.parts)
+        return blank._replace(memory={name: torch.zeros_like(t) for name, t in self._remembered(blank).items()})
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
@@ -120,7 +129,7 @@ class RearrangeTensors:
     def _moved(self, play: Play, robot_choice: Tensor, human_choice: Tensor) -> Play:
         """After a step of those that go on: people first, then robots, as on the CPU."""
         places = self.tables.at(play.episode)
-        hands = Hands(play.objects, play.held_by, play.moved, play.placed_by)
+        hands = play.hands
         before = self._poses(play.robot, play.human)
         floor_y = self.tables.floor_y[places.place]
         human, does, hands = self._human(play, human_choice, places, hands, floor_y)
@@ -137,6 +146,7 @@ class RearrangeTensors:
             held_by=hands.held_by,
             moved=hands.moved,
             placed_by=hands.placed_by,
+            opened=hands.opened,
             steps=steps,
             before=before,
             track=torch.where(row[..., None, None], now[:, None], play.track),
@@ -190,21 +200,34 @@ class RearrangeTensors:
 
     def _judged(self, play: Play, places: Places) -> Play:
         """With what the step was worth."""
-        hands = Hands(play.objects, play.held_by, play.moved, play.placed_by)
-        spec, collides = self.spec, self.touching(play.robot, play.human)
+        spec, collides, hands = self.spec, self.touching(play.robot, play.human), play.hands
+        if not self._is_usual:
+            return self._judged_by_task(play._replace(collides=collides))
         held, at_goal, worth = play.held_by != NOBODY, self.at_goal(hands, places), REARRANGE_REWARDS[spec.reward]
         reward, paid, success = worth.step(held, at_goal, play.paid, collides.to(self.dtype), xp=torch)
         terminated = success | collides if spec.end_on_collision else success
-        truncated = ~terminated & (play.steps >= spec.max_steps)
-        return play._replace(
-            paid=paid,
-            success=success,
-            collides=collides,
-            reward=reward,
-            terminated=terminated,
-            truncated=truncated,
-            ended=terminated | truncated,
-        )
+        return self._ended(play._replace(paid=paid, success=success, collides=collides), reward, terminated)
+
+    def _judged_by_task(self, play: Play) -> Play:
+        """With what the task says of the step."""
+        rollout = SkillTensorRollout(self, play, dict(play.memory))
+        outcome: Any = self.task.judge(rollout)
+        memory = {name: typed(rollout.memory[name], self.dtype) for name in play.memory}
+        reward = typed(outcome.reward, self.dtype)
+        return self._ended(play._replace(memory=memory, success=outcome.success), reward, outcome.terminated)
+
+    def _ended(self, play: Play, reward: Tensor, terminated: Tensor) -> Play:
+        truncated = ~terminated & (play.steps >= self.spec.max_steps)
+        ends = terminated | truncated
+        return play._replace(reward=reward, terminated=terminated, truncated=truncated, ended=ends)
+
+    def _remembered(self, play: Play) -> dict[str, Tensor]:
+        """Memory of a task that is not the built-in one if all worlds began in their present state."""
+        if self._is_usual:
+            return {}
+        rows: Any = torch.arange(len(play.steps), device=self.device)
+        begun: Any = self.task.begin(SkillTensorRollout(self, play, None), rows)
+        return {name: typed(values, self.dtype) for name, values in (begun or {}).items()}
 
     def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
         """Worlds that are ``fresh`` [W] at the start of their next episode, the others as they are ``after``."""
@@ -214,13 +237,13 @@ class RearrangeTensors:
         return packed(start, kept)
 
     def _at_start(self, episode: Tensor, starts: Tensor) -> Play:
-        fresh = Play.before_the_first(episode, self.bank.objects, self.dtype)
+        fresh = Play.before_the_first(episode, self.bank.objects, self.dtype, self.spec.parts)
         objects = self.tables.spots[episode, : self.bank.objects]
         (rx, rz, rh), (hx, hz, hh) = starts[:, 0].unbind(-1), starts[:, 1].unbind(-1)
         robot = fresh.robot._replace(xz=torch.stack([rx, rz], -1), heading=rh)
         human = fresh.human._replace(xz=torch.stack([hx, hz], -1), heading=hh)
         order = self.orders[episode]
-        return fresh._replace(
+        begun = fresh._replace(
             robot=robot,
             human=human,
             objects=objects,
@@ -230,12 +253,39 @@ class RearrangeTensors:
             human_does=fresh.human_does._replace(order=order),
             track=torch.stack([robot.xz, human.xz], 1)[:, None].expand(-1, TRACK, -1, -1),
         )
+        return begun._replace(memory=self._remembered(begun))
+
+    def check_functions(self, worlds: int = 2) -> None:
+        """Calls `Task.begin` and `Task.judge` of a task of one's own with tensors without data.
+
+        Raises:
+            InputError: one of them waits for the device, needs NumPy or what no device has; the message names both.
+        """
+        if self._is_usual:
+            return
+        sim, who = on_meta(copy.copy(self)), self.task.name
+        sim.device = torch.device("meta")
+        number = torch.zeros(worlds, dtype=torch.int64, device="meta")
+        blank = Play.before_the_first(number, self.bank.objects, self.dtype, self.spec.parts)
+        with in_words(f"{who}: the function begin"):
+            rollout: Any = SkillTensorRollout(sim, blank, None)
+            begun: Any = self.task.begin(rollout, number)  # type: ignore[arg-type]
+            if begun is None and rollout.memory is not None:
+                raise TypeError("it sets play.memory, and must return it: arrays [W, ...] by name")
+            require_tensors(begun or {}, worlds)
+        with in_words(f"{who}: the function judge"):
+            rollout = SkillTensorRollout(sim, blank, dict(begun or {}))
+            outcome: Any = self.task.judge(rollout)
+            flags = {name: getattr(outcome, name) for name in ("reward", "terminated", "success")}
+            require_tensors({**flags, **rollout.memory}, worlds)
+            if strange := set(rollout.memory) ^ set(begun or {}):
+                raise TypeError(f"begin and judge must remember the same; {', '.join(sorted(strange))} differ")
 
     # --- what holds now -----------------------------------------------------------------------------------------------
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
         """Return which objects are at their goals and in nobody's hand, bool [W, K]."""
-        goals = self.tables.spots[places.episode, self.bank.objects :]
-        return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
+        goals, within_m = self.tables.goals(places.episode), self.spec.at_goal_m
+        return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=within_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
         """Return whether others [W, 2] are in the ellipse around agents within which skills may be interrupted, bool [W]."""
@@ -260,7 +310,10 @@ def packed(like: Play, tensors: list[Tensor]) -> Play:
     """Return a state of these tensors, in the order of `Play.tensors`."""
     parts, left = [], list(tensors)
     for part in like:
-        count = len(part) if isinstance(part, tuple) else 1
+        count = len(part) if isinstance(part, tuple | Mapping) else 1
         taken, left = left[:count], left[count:]
-        parts.append(type(part)(*taken) if isinstance(part, tuple) else taken[0])
+        if isinstance(part, Mapping):
+            parts.append(dict(zip(part, taken, strict=True)))
+        else:
+            parts.append(type(part)(*taken) if isinstance(part, tuple) else taken[0])
     return Play(*parts)

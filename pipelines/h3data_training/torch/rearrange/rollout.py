@@ -1,0 +1,58 @@
+"""The part of a rollout that a task with things reads on a device, where its `begin` and `judge` are called with tensors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from h3data_training.torch.rearrange.state import Play
+from sim_kinematic.sensing.table import Pose
+
+if TYPE_CHECKING:
+    from h3data_training.torch.rearrange.worlds import RearrangeTensors
+
+
+class Things(NamedTuple):
+    """Agents of all worlds at one step, and who holds what."""
+
+    agents: tuple[Any, Any]
+    """Robots and people; each has ``xz`` and ``heading``."""
+    held_by: Tensor
+    """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
+
+
+class SkillWorld(NamedTuple):
+    """The part of a `sim_kinematic.world.World` that such a task reads."""
+
+    worlds: int
+    state: Things
+    before: Things
+    """Agents one step ago; who held what is not known."""
+    touching: Tensor
+    """Robot and person touch, bool [W, 1]."""
+
+
+class SkillTensorRollout:
+    """The part of a `sim_kinematic.tasks.play.WorldRollout` of agents with skills that a task reads."""
+
+    xp = torch
+
+    def __init__(self, sim: RearrangeTensors, now: Play, memory: Any) -> None:
+        """``memory`` is what the task stores between steps, [W, ...] each."""
+        self.spec, self.steps, self.memory = sim.spec, now.steps, memory
+        self.at_goal = sim.at_goal(now.hands, sim.tables.at(now.episode))
+        self.open_parts = now.opened
+        was = tuple(Pose(now.before[:, who, :2], now.before[:, who, 2]) for who in range(2))
+        self.world = SkillWorld(
+            len(now.steps),
+            Things((now.robot, now.human), now.held_by),
+            Things((was[0], was[1]), now.held_by),
+            now.collides[:, None],
+        )
+
+    def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
+        """Return no events, because nothing is recorded on a device."""
+        del flags, kind, agent, target
+        return ()
