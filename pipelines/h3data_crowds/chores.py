@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
 from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
+from h3data.bodies.people.kernels.attention import curl_fingers
 from h3data.bodies.people.reach import grasp_point, reach_poses, reacher
 from h3data.bodies.people.skeleton import PARENTS
 from h3data.errors import InputError
@@ -35,7 +36,7 @@ from h3data.geometry import (
     transform_points,
     wrap_angle,
 )
-from h3data.recording import AssetRef, Body, Event, Recording
+from h3data.recording import AssetRef, Body, Event, Recording, SkillSpan
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
@@ -48,16 +49,22 @@ CHORES = {"take": 8.0, "lift": 4.0, "put": 4.0, "phone": 3.0}
 """Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
 """Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
+GRIP_BACK_M = 0.07
+"""Distance of the hands behind the middle of a tray."""
 CARRIED = np.array([0.27, 0.80, 0.15])
 """Place of a hand that carries something, ahead, up and outwards, in heights of the shoulders."""
 TRAY_AHEAD, TRAY_UP = 0.26, 0.79
 """Place of the middle of a carried tray in heights of the shoulders."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-ROOM_M, LEAF = 0.27, 0.14
+ROOM_M, LEAF = 0.3, 0.14
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M = 0.12
 """Distance of places beside each other; of two in which people are turned otherwise, a rotation by 1 rad counts as 0.1 m."""
+CURL_RAD = 0.55
+"""Bend of the fingers around what a hand holds."""
+FARTHER_M = (0.0, 0.06, 0.12, 0.18, 0.24)
+"""Distances of which people who reach with both hands lean farther by the first that suffices [m]."""
 ASIDE_M = 0.2
 """Greatest distance aside of the middle of what people lift or put down [m]."""
 POLE = (-0.35, -0.8, 0.45)
@@ -81,6 +88,8 @@ class Chore(NamedTuple):
     """Angles of the door while the hand leads it [N]."""
     handles: Array = np.zeros((1, 3))
     """Places of the handle at these angles [N, 3]."""
+    farther_m: float = 0.0
+    """Distance by which people who reach with both hands lean farther than for one of them [m]."""
 
 
 class ChoreRoutine(Routine):
@@ -177,7 +186,9 @@ def _before_door(scene: Scene, thing: Instance) -> Array:
     inward = -1.0 if ahead[0] * along[1] - ahead[1] * along[0] > 0 else 1.0
     gaps, sides, turns = (
         each.reshape(-1, 1)
-        for each in np.meshgrid(np.arange(0.25, 0.76, 0.05), np.arange(-0.2, 0.45, 0.05), (0.0, 0.35, 0.7), indexing="ij")
+        for each in np.meshgrid(
+            np.arange(0.25, 0.76, 0.05), np.arange(-0.2, 0.45, 0.05), (0.0, 0.35, 0.7), indexing="ij"
+        )
     )
     return np.column_stack([handles[0, [0, 2]] + gaps * ahead + sides * along, heading + inward * turns])
 
@@ -186,7 +197,7 @@ def _around(scene: Scene, thing: Instance) -> Array:
     """Places ``(x, z, heading)`` [N, 3] around a thing, facing it at right angles, the nearest first."""
     low, high = instance_bounds(scene, thing)[:, [0, 2]]
     rows = []
-    for gap in (0.28, 0.34, 0.4, 0.46):
+    for gap in (0.33, 0.38, 0.43, 0.48):
         for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1)):
             for share in np.linspace(0.15, 0.85, 8):
                 at = low + share * (high - low)
@@ -254,9 +265,7 @@ def _opening(scene: Scene, body: Humanoid, name: str, place: Array) -> Chore | N
     return None
 
 
-def _surface(
-    scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array
-) -> Chore | None:
+def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:
     """The chore of lifting something from a thing or putting it there, from a place [3]; None: the hands do not reach."""
     root, matrix = ground_pose(place[:2], float(place[2])), instance_matrix(thing)
     ahead = quat_rotate(root[3:], np.array([1.0, 0.0, 0.0]))
@@ -276,12 +285,34 @@ def _surface(
         if aside > ASIDE_M or _occupied(scene, thing, spot, inset):
             continue
         grips = _seen(root, _grips(spot, root) if wide else np.stack([spot, spot]))
-        if all(
-            reacher(body, hand).reachable(grips[k : k + 1])[0]
-            for k, hand in enumerate(("left", "right") if wide else ("left",))
-        ):
-            return Chore(name, root, spot)
+        farther = _farther(body, grips) if wide else 0.0
+        if np.isfinite(farther) if wide else reacher(body, "left").reachable(grips[:1])[0]:
+            return Chore(name, root, spot, farther_m=farther)
     return None
+
+
+def _farther(body: Humanoid, grips: Array) -> float:
+    """Distance [m] by which a body has to lean farther so that both palms reach places [2, 3] at once; NaN: they do not.
+
+    The trunk is turned less than for one hand, which takes reach from both.
+    """
+    for farther in FARTHER_M:
+        there = grips + (farther, 0.0, 0.0)
+        one, other = (reach_poses(body, there[k : k + 1], hand) for k, hand in enumerate(("left", "right")))
+        if one.status[0] or other.status[0]:
+            continue
+        quats = _mixed(one.quats, other.quats, np.array([0.5]))
+        frames = body.joint_matrices(IDENTITY_POSE[None], quats, (one.pelvis + other.pelvis) / 2)[0]
+        gaps = np.linalg.norm(frames[[joints[0] for joints in _ARMS], :3, 3] - grips, axis=1)
+        if all(gap < 0.97 * _arm(body, side) for side, gap in enumerate(gaps.tolist())):
+            return farther
+    return np.nan
+
+
+def _arm(body: Humanoid, side: int) -> float:
+    """Length of an arm from the shoulder to the palm [m]."""
+    grasp = grasp_point(body, ("left", "right")[side])
+    return float(np.linalg.norm(body.joint_offsets[_ARMS[side][1:]], axis=1).sum() + 0.9 * np.linalg.norm(grasp))
 
 
 def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
@@ -314,8 +345,8 @@ def _seen(root: Array, points: Array) -> Array:
 
 
 def _grips(middle: Array, root: Array) -> Array:
-    """Places [..., 2, 3] of the left and the right palm at the ends of trays whose middle is at world points [..., 3]."""
-    ends = np.array([[0, 0, -TRAY_M[2]], [0, 0, TRAY_M[2]]])
+    """Places [..., 2, 3] of the left and the right palm at the sides of trays whose middle is at world points [..., 3]."""
+    ends = np.array([[-GRIP_BACK_M, 0, -TRAY_M[2]], [-GRIP_BACK_M, 0, TRAY_M[2]]])
     quats = np.broadcast_to(root[..., None, 3:], (*middle.shape[:-1], 2, 4))
     return middle[..., None, :] + quat_rotate(quats, np.broadcast_to(ends, (*middle.shape[:-1], 2, 3)))
 
@@ -357,14 +388,19 @@ def act_out(recording: Recording) -> Recording:
             "Expected a recording with its home, in which people do chores. Hint: recordings of h3data generate have it."
         )
     joints = joints_of(replay.scene)
-    open_by = np.tile(joints.rest, (len(recording), 1)) if JOINTS not in recording.columns else recording.columns[JOINTS].copy()
-    acted, things, events = {}, list[Thing](), list(recording.events)
+    open_by = (
+        np.tile(joints.rest, (len(recording), 1))
+        if JOINTS not in recording.columns
+        else recording.columns[JOINTS].copy()
+    )
+    acted, things, events, skills = {}, list[Thing](), list(recording.events), list(recording.skills)
     for agent in doing:
         person = _Acting(replay, agent, open_by)
         person.play()
         acted |= person.columns()
         things += person.things
         events += person.events
+        skills += person.skills
     moving = len(recording.moving_bodies)
     tracks = [thing.poses[:, None] for thing in things]
     before = [recording.columns["object_pose"]] if moving else []
@@ -390,6 +426,7 @@ def act_out(recording: Recording) -> Recording:
         bodies=(*recording.bodies, *bodies),
         columns=columns,
         events=tuple(sorted(events, key=lambda event: event.step)),
+        skills=tuple(sorted(skills, key=lambda span: span.start_step)),
     )
 
 
@@ -416,6 +453,7 @@ class _Acting:
         self.palms, self.shares = np.tile(self.carry, (len(steps), 1, 1)), np.zeros((len(steps), 2))
         self.things: list[Thing] = []
         self.events: list[Event] = []
+        self.skills: list[SkillSpan] = []
         self.holds: tuple[str, int, int] | None = None
         """Kind, number and hand (2: both) of what the person holds."""
         self._follows: list[tuple[int, int, int, int]] = []
@@ -480,7 +518,7 @@ class _Acting:
             return
         base, up = self.base[rows], _ramp(t, 1.2, 2.6)[:, None]
         spot = _seen(base, np.broadcast_to(chore.spot, (len(t), 3)))
-        self._both(rows, spot + up * (self.tray_at - spot), spot, _ramp(t, 0.0, 1.0) - _ramp(t, 1.9, 2.9))
+        self._both(rows, spot + up * (self.tray_at - spot), spot, _ramp(t, 0.0, 1.0) - _ramp(t, 1.9, 2.9), chore.farther_m)
         self.shares[rows] = _ramp(t, 0.0, 1.0)[:, None]
         self._new("tray", "tray", TRAY_M, chore.spot, root)
         self._hold("tray", len(self.things) - 1, 2, rows, t, 1.1, event)
@@ -498,7 +536,7 @@ class _Acting:
         spot = _seen(base, np.broadcast_to(chore.spot, (len(t), 3)))
         lean = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0)
         if kind == "tray":
-            self._both(rows, self.tray_at + down * (spot - self.tray_at), spot, lean)
+            self._both(rows, self.tray_at + down * (spot - self.tray_at), spot, lean, chore.farther_m)
         else:
             back = (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
             self.palms[rows, hand] = self.carry[hand] + back * (spot - self.carry[hand])
@@ -509,7 +547,7 @@ class _Acting:
         self.shares[rows, who] = off[:, None] if hand == 2 else off
         free = rows.start + int(np.searchsorted(t, 1.7))
         self._follows.append((number, hand, self._grasped, free))
-        self.events.append(Event(step=free, agent=self.agent, kind="puts", target=self.things[number].name, detail=event.detail))
+        self._tell(free, "puts", number, rows, event)
         self.holds = None
 
     def _phone(self, event: Event, rows: slice) -> None:
@@ -533,11 +571,11 @@ class _Acting:
         place = np.append(root[[0, 2]], heading_from_quat(root[3:]))
         return _surface(self.scene, self.body, thing, event.target, wide, place)
 
-    def _both(self, rows: slice, middle: Array, spot: Array, lean: Array) -> None:
-        """Puts both palms at the ends of a tray whose middle is at places [T, 3] in the root's frame."""
+    def _both(self, rows: slice, middle: Array, spot: Array, lean: Array, farther_m: float) -> None:
+        """Puts both palms at the sides of a tray whose middle is at places [T, 3] in the root's frame."""
         here = np.tile(IDENTITY_POSE, (len(middle), 1))
         self.palms[rows] = _grips(middle, here)
-        ends = _grips(spot, here)
+        ends = _grips(spot, here) + (farther_m, 0.0, 0.0)
         poses = (reach_poses(self.body, ends[:, k], hand) for k, hand in enumerate(("left", "right")))
         self._lean(rows, *poses, np.full(len(middle), 0.5), lean)
 
@@ -555,8 +593,15 @@ class _Acting:
     def _hold(self, kind: str, number: int, hand: int, rows: slice, t: Array, after_s: float, event: Event) -> None:
         self.holds, self._held_since = (kind, number, hand), rows.stop
         self._grasped = rows.start + int(np.searchsorted(t, after_s))
-        name = self.things[number].name
-        self.events.append(Event(step=self._grasped, agent=self.agent, kind="takes", target=name, detail=event.detail))
+        self._tell(self._grasped, "takes", number, rows, event)
+
+    def _tell(self, step: int, kind: str, number: int, rows: slice, event: Event) -> None:
+        """Takes down that a thing is taken or put down."""
+        name, skill = self.things[number].name, {"takes": "pick", "puts": "place"}[kind]
+        self.events.append(Event(step=step, agent=self.agent, kind=kind, target=name, detail=event.detail))
+        self.skills.append(
+            SkillSpan(agent=self.agent, name=skill, target=name, start_step=rows.start, end_step=rows.stop - 1)
+        )
 
     def _keep(self, start: int, end: int) -> None:
         """Lets the person carry what they hold for some rows."""
@@ -589,14 +634,23 @@ class _Acting:
         for side, joints in enumerate(_ARMS):
             at = np.ix_(rows, joints)
             self.quats[at] = _mixed(self.quats[at], bent[:, side], self.shares[rows, side])
+        for row in rows.tolist():
+            curl_fingers(self.quats[row], CURL_RAD * self.shares[row])
         frames = self.body.joint_matrices(self.base, self.quats, self.pelvis)
         world = np.stack(
-            [frames[:, own[2], :3, :3] @ grip + frames[:, own[2], :3, 3] for own, grip in zip(_ARMS, grips, strict=True)], 1
+            [
+                frames[:, own[2], :3, :3] @ grip + frames[:, own[2], :3, 3]
+                for own, grip in zip(_ARMS, grips, strict=True)
+            ],
+            1,
         )
         for number, hand, start, end in self._follows:
             poses, until = self.things[number].poses, abs(end)
             poses[start:until, :3] = world[start:until].mean(1) if hand == 2 else world[start:until, hand]
             poses[start:until, 3:] = quat_from_heading(heading_from_quat(self.base[start:until, 3:]))
+            if hand == 2:
+                ahead = np.tile([GRIP_BACK_M, 0.0, 0.0], (until - start, 1))
+                poses[start:until, :3] += quat_rotate(poses[start:until, 3:], ahead)
             if 0 < end < len(poses):
                 poses[end:] = poses[end - 1]
 
