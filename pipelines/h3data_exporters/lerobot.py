@@ -46,7 +46,8 @@ def write_lerobot(
     Beside the columns of the recording, which stay as they are (h3data docs format) but for ``sim.*`` and ``state_hash`` (the
     simulator's own, and LeRobot's loader fails on unsigned 64-bit numbers), each frame has ``observation.state``
     (the agent's base pose, joints, ...), ``action`` (what it did in that state), ``next.reward``, ``next.done`` and
-    ``next.success``. Rows without an action after them, the last of each episode, are left out.
+    ``next.success``. Rows without an action after them, the last of each episode, are left out; events there belong to
+    the frame before, and skills end with it.
     ``meta/h3data.json`` says what an environment has to show to a policy that learns from it (`Demonstrations`).
     ``light`` is that of videos whose recordings do not name it. ``recordings`` are gone through twice, first for the widest
     columns: give a list, not a generator.
@@ -274,4 +275,14 @@ def _with_transitions(recording: Recording, agent: str | None) -> Recording:
         if values.dtype != np.uint64 and not name.startswith("sim.")
     }
     info = {**recording.episode.info, "lerobot": {"agent": recording.agents[found.agent].name, "names": names}}
-    return replace(recording, episode=replace(recording.episode, info=info), columns={**columns, **extra})
+    last = steps - 1
+    return replace(
+        recording,
+        episode=replace(recording.episode, info=info),
+        columns={**columns, **extra},
+        # what happens in the row that is left out counts for the frame whose action led there, as its reward does
+        events=tuple(replace(event, step=min(event.step, last)) for event in recording.events),
+        skills=tuple(
+            replace(span, end_step=min(span.end_step, last)) for span in recording.skills if span.start_step <= last
+        ),
+    )

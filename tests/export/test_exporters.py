@@ -31,6 +31,7 @@ from h3data.recording import (
     Event,
     InputEvent,
     Recording,
+    SkillSpan,
     read_mcap,
     write_mcap,
 )
@@ -45,6 +46,7 @@ from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -470,6 +472,17 @@ def test_demonstrations_without_their_last_row_are_not_measured(recording: Recor
     with pytest.raises(UnmeasurableError, match="H3-METRIC-028"):
         measure_files([tmp_path / "ds"])
     assert measure(recording).rows == len(recording)
+
+
+def test_what_happens_in_the_last_row_counts_for_the_frame_before(recording: Recording, tmp_path: Path) -> None:
+    last = len(recording) - 1
+    spans = [SkillSpan(agent=0, name="place", start_step=begin, end_step=last) for begin in (last - 3, last)]
+    events = (Event(step=last, kind="found", agent=0), Event(step=4, kind="lost", agent=0))
+    write_lerobot([replace(recording, skills=tuple(spans), events=events)], tmp_path / "ds")
+    back = Dataset(tmp_path / "ds").recording(0)
+    assert [(span.start_step, span.end_step) for span in back.skills] == [(last - 3, last - 1)]
+    assert [(event.step, event.kind) for event in back.events] == [(last - 1, "found"), (4, "lost")]
+    assert [finding.text for finding in validate_recording(back) if finding.severity == "error"] == []
 
 
 def test_demonstrations_without_their_last_row_are_neither_verified_nor_exported_again(
