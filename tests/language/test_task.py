@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,7 +34,7 @@ from h3data_language.verification import (
     rows_of_kinds,
     skip_table,
     tasks_in,
-    verify_home,
+    verify_homes,
     verify_task,
 )
 from h3data_pipelines.cli import main
@@ -226,31 +230,46 @@ def test_generate_measures_the_other_episodes_if_one_cannot_be_sampled(
     assert "state_success" in said
 
 
+DONE, FAILED = PlayedTask(True, 1.0, 20), PlayedTask(False, 0.5, 90)
+
+
 def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What verify skips, a set with its lines skips too, in this task alone."""
-    done, failed = PlayedTask(True, 1.0, 20), PlayedTask(False, 0.5, 90)
-    results = iter([(done, failed), (done, done), (done, done)])
-    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: next(results))
+    played: list[int] = []
     sampled, home = episode("two_on"), tasks_in("h3-homes/val", episodes=24, seed=0)[3]
     assert home.numbers == (3, 15)
 
-    class Refuses(Language):
-        def episode(self, scene: Any, **more: Any) -> Any:
-            if more["seed"] == home.seed_of(1):
-                raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
-            return sampled
+    def sample(job: Any) -> Any:
+        played.append(job.seed)
+        if job.seed == home.seed_of(1):
+            raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
+        return sampled
 
-    found, skipped = verify_home(Refuses(), home)
-    assert [t.number for t in found] == [3, 15]
-    assert [(s.episode, s.reason) for s in skipped] == [
+    def fails_in_the_first(*_: Any) -> Any:
+        if played[-1] == home.seed_of(3) and len(played) == 4:
+            raise RuntimeError("a fault of ours")
+        return (DONE, FAILED if played[-1] == home.seed_of(0) else DONE)
+
+    monkeypatch.setattr("h3data_pipelines.jobs.episodes.Job.episode", sample)
+    monkeypatch.setattr("h3data_language.verification.verify_task", fails_in_the_first)
+    out = tmp_path / "verified"
+    done = verify_homes([home], out)
+    # 0 and 1 are none; 2 and 3 take their places, but 3 fails, and 4 takes its place
+    assert [index for index in range(5) if home.seed_of(index) in played] == list(range(5))
+    assert ([t.number for t in done.tasks], done.new, done.short) == ([3, 15], 5, [])
+    assert [(s.episode, s.reason) for s in done.skipped] == [
         (0, "not completed by robot and person"),
         (1, "could not be sampled [H3-LANGUAGE-010]"),
     ]
+    assert len(done.failed) == 1
+    assert done.failed[0].startswith("episode 3 of val_03: RuntimeError: a fault of ours")
+    again = verify_homes([home], out, resume=True)  # that one is played again, and is a task
+    assert (again.new, again.skipped, again.failed) == (1, done.skipped, [])
     text = 'format = 1\nname = "h3-homes"\nsplit = "val"\nscenes = [{ id = "val_03", seed = 1 }]\n'
     file = tmp_path / "mine.toml"
-    file.write_text(text + skip_table(skipped))
+    file.write_text(text + skip_table([home], again.skipped))
     known = read_scene_set(file)
     assert [known.place(k, "language")[1] for k in range(3)] == [2, 3, 4]
     assert [known.place(k)[1] for k in range(3)] == [0, 1, 2]
@@ -259,12 +278,56 @@ def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
         jobs = make_jobs(Choices(task="language"), str(file), episodes=1, seed=seed)
         assert jobs[0].seed == known.episode_seed("val_03", index, seed=seed)
         assert home.skipped == (() if seed else (0, 1))
+        assert skip_table([home], []) == ("" if seed else "[skipped.language]\nval_03 = [0, 1]")
     file.write_text(text + "[skipped.language]\nval_04 = [1]\n")
     with pytest.raises(FormatError, match="H3-SCENE-058"):
         read_scene_set(file)
     monkeypatch.setattr("h3data_language.verification.TRIES", 1)
-    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (failed, failed))
-    assert "H3-LANGUAGE-" in run(capsys, "language", "verify", "--scenes", HOME, "--episodes", 1, code=2)
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (FAILED, FAILED))
+    verify = ("language", "verify", "--scenes", HOME, "--episodes", 1)
+    assert "H3-LANGUAGE-" in run(capsys, *verify, code=2)
+    assert "H3-LANGUAGE-" in run(capsys, *verify, "--resume", code=2)
+    assert "H3-JOB-044" in run(capsys, *verify, "--resume", "-o", tmp_path / "nothing", code=2)
+    others = ("language", "verify", "--scenes", "h3-homes/val", "--episodes", 4, "--seed", 1)
+    assert "H3-JOB-045" in run(capsys, *others, "-o", out, code=2)
+
+
+SLOW_VERIFY = """
+import sys, time
+from h3data_language import verification as v
+from h3data_pipelines.cli import main
+v.verify_task = lambda task, episode: (time.sleep(0.05), (v.PlayedTask(True, 1.0, 3), v.PlayedTask(True, 1.0, 2)))[1]
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_verification_that_is_stopped_goes_on_where_it_was(
+    number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = [str(w) for w in ("language", "verify", "--scenes", HOME, "--episodes", 30, "-o", out)]
+    process = subprocess.Popen([sys.executable, "-c", SLOW_VERIFY, *words], stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 120
+    while len(list(out.glob("episodes/*.json"))) < 2:
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    there = {file: file.read_text() for file in sorted(out.glob("episodes/*.json"))}
+    assert 2 <= len(there) < 30
+    assert all(json.loads(text)["alone"]["success"] for text in there.values())
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert f"results of {len(there)} episodes in {out}: the same command goes on" in error
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (DONE, DONE))
+    words[words.index("30")] = str(len(there) + 2)
+    said = json.loads(run(capsys, *words, "--resume", "--quiet", "--json"))
+    assert said["new"] == 2
+    assert len(said["tasks"]) == len(there) + 2
+    assert {file: file.read_text() for file in there} == there
+    assert said["sha256"] in (out / "table.txt").read_text()
 
 
 def test_only_people_beside_a_thing_can_handle_it() -> None:
