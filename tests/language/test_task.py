@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -393,12 +394,54 @@ def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
     assert verify(recording).equal
 
 
+def test_things_are_put_on_the_floor_of_a_room_and_replays_do_the_same() -> None:
+    sampled = episode("two_on", 3)
+    one, other, third = [t.name for t in sampled.targets]
+    things = [one, other, third]
+    puts = put(things, one, "floor of kitchen"), put(things, other, "floor of kitchen", one), put(things, one, "sofa_0")
+    porters = (
+        {"robot": Porter([puts[0]]), "human": "language_still"},
+        {"human": Porter(list(puts)), "robot": "language_still"},
+    )
+    for who in porters:
+        recording = simulate(Language(), replace(sampled, spec=replace(sampled.spec, max_steps=2500)), who)
+        places = [event for event in recording.events if event.kind == "place"]
+        assert len(places) == len(next(p for p in who.values() if isinstance(p, Porter)).puts)
+        at = recording.columns["object_pose"][[e.step for e in places]]
+        rows = Rows(Layout.of_info(recording.episode.info), at, np.zeros(at.shape[:2], np.bool_))
+        low = Proposition("is_on_floor", {"object_handles": [one]})
+        there = Proposition("is_in_room", {"object_handles": [one], "room_ids": ["kitchen"]})
+        near = Proposition("is_next_to", {"entity_handles_a": [one], "entity_handles_b": [other]})
+        expected = [True, True, False][: len(places)]
+        assert [truth_of(p, rows)[0].tolist() for p in (low, there)] == [expected] * 2
+        assert truth_of(near, rows)[0].tolist() == [False, True, False][: len(places)]
+        assert verify(recording).equal
+
+
+def test_the_floor_is_asked_for_only_by_name() -> None:
+    assert not any(t.by_name for kind in KINDS for t in LanguageSpec().templates(kind))
+    assert [t.name for t in LanguageSpec(template="floor").templates()] == ["floor"]
+    sampled = episode("floor_next_to")
+    assert [p["function_name"] for p in sampled.extra["evaluation_propositions"]] == [
+        "is_on_floor",
+        "is_in_room",
+        "is_on_floor",
+        "is_next_to",
+    ]
+    assert [goal.destination for goal in Language().codec.record(sampled).goals][:2] == ["", ""]
+
+
 def test_destinations_that_do_not_exist_or_are_full_are_refused() -> None:
     session = h3data.session(
         Language(), scenes=OPEN_HOME, seed=3, spec=LanguageSpec(template="inside"), agents={"robot": External()}
     )
     things = session.play.team.objects.names
-    for place, next_to, code in (("moon_0", "", "018"), ("inside bed_0", "", "018"), ("bed_0", "spoon", "019")):
+    for place, next_to, code in (
+        ("moon_0", "", "018"),
+        ("floor of moon_0", "", "018"),
+        ("inside bed_0", "", "018"),
+        ("bed_0", "spoon", "019"),
+    ):
         with pytest.raises(InputError, match=f"H3-LANGUAGE-{code}"):
             session.refusal("robot", put(things, things[0], place, next_to))
     with pytest.raises(InputError, match="H3-LANGUAGE-019"):
