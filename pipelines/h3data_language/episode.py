@@ -13,12 +13,23 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError, SceneError, suggest
 from h3data.geometry import Array, quat_from_heading
-from h3data.scene import FreeSpace, Scene
+from h3data.scene import FreeSpace, Instance, Receptacle, Scene
 from h3data_language.evaluation.engine import Verdict, evaluate
 from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.predicates import Rows, next_to
 from h3data_language.evaluation.records import NEXT_TO_M, Evaluation
-from h3data_language.grounding import Home, Place, Words, clause_parts, evaluation_of, home_of, parse, thing_words
+from h3data_language.grounding import (
+    FLOOR,
+    Home,
+    Place,
+    Words,
+    clause_parts,
+    evaluation_of,
+    home_of,
+    parse,
+    room_at,
+    thing_words,
+)
 from h3data_language.templates import HANDLING, KINDS, TEMPLATES, Template, affords
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.stands import robot_fits
@@ -38,6 +49,11 @@ DETOUR = 1.4
 """Approximate length of a path over the straight line."""
 ERRAND_S = 8.0
 """Approximate time to take and to put down one thing, doors and turning included [s]."""
+FLOOR_POINTS, FLOOR_TRIED = 400, 12
+"""Points of a room's floor that are sampled, and those of them that are tried."""
+FLOOR_GAP_M, FLOOR_EDGE_M, FLOOR_NEAR_M = 0.02, 0.25, 0.7
+"""Distances of a thing on the floor from walls and furniture, at least, and of its middle, at most: people whose bodies have
+this radius walk past it; and the distance of the middles of things next to each other, at most [m]."""
 STATES = ("clean", "filled", "powered")
 
 
@@ -71,7 +87,11 @@ class LanguageSpec(RearrangeSpec):
     def templates(self, kind: str = "") -> list[Template]:
         """Return the templates that these rules allow; without a type among them, those of ``kind``."""
         kind = self.kind or ("" if self.template else kind)
-        return [t for t in TEMPLATES if self.template in ("", t.name) and kind in ("", t.kind)]
+        return [
+            t
+            for t in TEMPLATES
+            if (t.name == self.template or not (self.template or t.by_name)) and kind in ("", t.kind)
+        ]
 
 
 class Errand(msgspec.Struct, frozen=True):
@@ -148,14 +168,17 @@ class SpotFinder:
     ) -> tuple[Array, str] | None:
         """A free spot [3] for a thing on or inside some furniture, and its receptacle; None: there is none.
 
-        With ``anchor``, the spot and receptacle of the thing ``other``, it is next to that.
+        Names that begin with `FLOOR` stand for the floor of a room. With ``anchor``, the spot and receptacle of the thing
+        ``other``, it is next to that.
         """
-        surfaces = [
-            each for n in furniture for each in (self.home.enclosed if inside else self.home.surfaces).get(n, ())
-        ]
+        instance = next(i for i in self.home.scene.instances if i.name == thing)
+        known = self.home.enclosed if inside else self.home.surfaces
+        surfaces = [each for n in furniture for each in known.get(n, ())]
+        for name in furniture:
+            if name.startswith(FLOOR):
+                surfaces += self._floor(name, instance, anchor)
         if not surfaces:
             return None
-        instance = next(i for i in self.home.scene.instances if i.name == thing)
         for _ in range(NEXT_TO_TRIES if anchor else 1):
             before = len(self.taken)
             spot = free_spot(
@@ -165,6 +188,27 @@ class SpotFinder:
                 return spot
             del self.taken[before:]
         return None
+
+    def _floor(self, name: str, thing: Instance, anchor: tuple[Array, str] | None) -> list[tuple[Instance, Receptacle]]:
+        """Points on the floor of a room as surfaces of the size of a thing, beside walls and furniture."""
+        room, radius = name.removeprefix(FLOOR), object_extent(self.home.scene, thing)[0]
+        parts = np.array(self.home.layout.rooms[room], np.float64)
+        low, high = parts[:, :2].min(0), parts[:, 2:].max(0)
+        if anchor is not None:
+            middle = np.asarray(anchor[0])[[0, 2]]
+            low, high = np.maximum(low, middle - FLOOR_NEAR_M), np.minimum(high, middle + FLOOR_NEAR_M)
+        points = low + self.rng.uniform(size=(FLOOR_POINTS, 2)) * (high - low)
+        room_of = [room_at(self.home.layout, (x, 0.0, z)) for x, z in points.tolist()]
+        apart = self.free.signed_distance(points)
+        fits = (apart >= radius + FLOOR_GAP_M) & (apart <= max(FLOOR_EDGE_M, radius + 2 * FLOOR_GAP_M))
+        fits &= np.array([r == room for r in room_of])
+        fits &= np.abs(self.free.height_at(points) - self.free.floor_y) < FLOOR_GAP_M
+        surface = Receptacle(name="", center=np.zeros(3), half_size=np.full(2, radius), clearance_m=np.inf)
+        level = self.free.floor_y
+        return [
+            (Instance(name=name, asset="", pose=np.array([x, level, z, 0.0, 0.0, 0.0, 1.0])), surface)
+            for x, z in points[fits][:FLOOR_TRIED].tolist()
+        ]
 
     def _near(self, thing: str, at: Array, other: str, there: Array) -> bool:
         boxes = [self.home.layout.things[name] for name in (thing, other)]
@@ -284,6 +328,7 @@ class _Draw:
         """Goals of each thing, one after the other; none for those that stay."""
         beside: dict[str, str] = {}
         asked: list[tuple[str, list[str], bool]] = []
+        low = {s for c in self.template.clauses for _, v, lists in [clause_parts(c)] if v == "floor" for s in lists[0]}
         either = int(self.rng.integers(2))
         for clause in self.template.clauses:
             number, verb, lists = clause_parts(clause)
@@ -297,8 +342,9 @@ class _Draw:
                 place = options[turn % len(options)]
                 asked += [(s, list(place.names), verb == "inside") for s in lists[0][: number or len(lists[0])]]
             elif verb == "in":
-                there = [n for n, place in self.home.place_of.items() if place.room == rooms[lists[1][0]]]
-                asked += [(slot, there, False) for slot in lists[0]]
+                room = rooms[lists[1][0]]
+                there = [n for n, place in self.home.place_of.items() if place.room == room]
+                asked += [(slot, [f"{FLOOR}{room}"] if slot in low else there, False) for slot in lists[0]]
         asked += [(slot, [], False) for slot in beside if slot not in {each[0] for each in asked}]
         asked.sort(key=lambda each: each[0] in beside)  # what others come to stand beside, first
         goals: dict[str, list[tuple[Array, str]]] = {}
@@ -341,7 +387,7 @@ class _Draw:
                 np.concatenate([began[s][0], quat_from_heading(self.rng.uniform(-np.pi, np.pi))]),
                 (goals.get(s) or [began[s]])[0][0],
                 began[s][1],
-                (goals.get(s) or [began[s]])[0][1],
+                in_scene((goals.get(s) or [began[s]])[0][1]),
             )
             for s in order
         )
@@ -382,6 +428,11 @@ class _Draw:
                 states[state][order.index(slot)] = not value
                 uses[order.index(slot)] = [state, value]
         return states, uses
+
+
+def in_scene(receptacle: str) -> str:
+    """The name of a receptacle as scenes have it; empty for a place on the floor."""
+    return "" if receptacle.startswith(FLOOR) else receptacle
 
 
 def errands_of(

@@ -19,6 +19,7 @@ from h3data.geometry import add_up
 from h3data.policies import Action, RearrangeView
 from h3data_language.episode import DETOUR, Errand
 from h3data_language.evaluation.records import STATES, Evaluation
+from h3data_language.grounding import FLOOR
 from h3data_language.talk import Intent, Speaker, say
 from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination
 from sim_kinematic.motion.state import NOBODY
@@ -278,9 +279,12 @@ class Expert:
     def _elsewhere(self, thing: int) -> Action:
         """Chooses another spot, where the task allows it, for a thing that does not get to its goal."""
         name, beside, places = self.episode.targets[thing].name, False, list[str]()
+        asked = [p for p in Evaluation.of(self.episode.extra).propositions if name in p.things[0]]
+        low = FLOOR if any(p.function_name == "is_on_floor" for p in asked) else ""
         for p in Evaluation.of(self.episode.extra).propositions:
-            if name in p.things[0] and p.function_name in PLACED:
-                places += [f"{INSIDE if p.function_name == 'is_inside' else ''}{place}" for place in p.things[1]]
+            if p in asked and p.function_name in PLACED:
+                kind = {"is_inside": INSIDE, "is_in_room": low}.get(p.function_name, "")
+                places += [f"{kind}{place}" for place in p.things[1]]
             elif any(name in names for names in p.things) and p.function_name not in STATES:
                 beside = True
         if beside or name in self.episode.extra["later_goals"] or not places:

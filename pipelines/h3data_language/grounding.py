@@ -14,11 +14,13 @@ import numpy as np
 from h3data.errors import InputError
 from h3data.scene import Instance, Receptacle, Scene
 from h3data.scene.articulation import joints_of
-from h3data_language.evaluation.layout import FurnitureBox, Layout, owner_of
+from h3data_language.evaluation.layout import Layout, owner_of
 from h3data_language.evaluation.predicates import Rows, truth_of
 from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 
+FLOOR = "floor of "
+"""Begins the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
 """Furniture on which nobody is asked to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
@@ -116,7 +118,7 @@ def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -
     """Pieces of furniture by words for them, those of one kind in one room together."""
     groups: dict[tuple[str, str], list[str]] = {}
     for name in names:
-        room = room_at(layout, layout.furniture[name])
+        room = room_at(layout, layout.furniture[name].center)
         if room:
             groups.setdefault((category[name], room), []).append(name)
     kinds, places = Counter(kind for kind, _ in groups), {}
@@ -128,9 +130,9 @@ def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -
     return places
 
 
-def room_at(layout: Layout, furniture: FurnitureBox) -> str:
-    """Name of the room in which a piece of furniture stands; empty if it stands in none."""
-    x, _, z = furniture.center
+def room_at(layout: Layout, point: Iterable[float]) -> str:
+    """Name of the room over whose floor a point [3] of the world is; empty if it is in none."""
+    x, _, z = point
     inside = (r for r, parts in layout.rooms.items() if any(a <= x <= c and b <= z <= d for a, b, c, d in parts))
     return next(inside, "")
 
@@ -164,6 +166,8 @@ def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposi
         return Proposition(PREDICATES[verb], {"object_handles": first, "number": number or len(first)})
     if verb == "next":
         return Proposition("is_next_to", {"entity_handles_a": first, "entity_handles_b": rest[0], "number": len(first)})
+    if verb == "floor":
+        return Proposition("is_on_floor", {"object_handles": first, "number": number or len(first)})
     if verb == "in":
         name, second = "is_in_room", "room_ids"
     else:

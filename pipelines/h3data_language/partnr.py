@@ -23,7 +23,7 @@ from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as
 from h3data.recording.task_episodes.rearrange_episode import instance_handles
 from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement, rearrangement_of
 from h3data.scene import FreeSpace, Scene
-from h3data_language.episode import Errand, LanguageSpec, SpotFinder, evaluate_errands
+from h3data_language.episode import Errand, LanguageSpec, SpotFinder, evaluate_errands, in_scene
 from h3data_language.evaluation.layout import LAYOUT, Layout, owner_of
 from h3data_language.evaluation.predicates import check_names
 from h3data_language.evaluation.records import (
@@ -35,7 +35,7 @@ from h3data_language.evaluation.records import (
     Proposition,
 )
 from h3data_language.evaluation.records import STATES as STATE_OF
-from h3data_language.grounding import Home, home_of, room_at
+from h3data_language.grounding import FLOOR, Home, home_of, room_at
 from h3data_language.templates import Kind
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.motion.randomness import generator
@@ -89,8 +89,6 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
             f"{where} has no objects or no propositions, so there is nothing to do.", code="H3-LANGUAGE-022"
         )
     for p in propositions:
-        if p.function_name == "is_on_floor":
-            raise InputError(f"{where} asks for things on the floor, where agents put nothing.", code="H3-LANGUAGE-023")
         if p.function_name in STATE_OF and not set(p.things[0]) <= set(things):
             raise InputError(
                 f"{where} asks for a state of furniture, and only those of its objects change.", code="H3-LANGUAGE-024"
@@ -179,19 +177,21 @@ class PartnrPlan:
         elif p.function_name in ("is_next_to", "is_clustered"):
             self._gather(k, p)
         else:
-            furniture, inside = set(p.things[1]), p.function_name == "is_inside"
+            layout, inside = self.home.layout, p.function_name == "is_inside"
+            rooms = p.things[1] if p.function_name == "is_in_room" else layout.rooms
+            floors = {f"{FLOOR}{room}" for room in rooms}
+            furniture = floors if p.function_name == "is_on_floor" else set(p.things[1])
             if p.function_name == "is_in_room":
-                layout = self.home.layout
-                furniture = {n for n in self.home.surfaces if room_at(layout, layout.furniture[n]) in p.things[1]}
-            known = self.home.enclosed if inside else self.home.surfaces
-            if not furniture & set(known):
+                there = (n for n in self.home.surfaces if room_at(layout, layout.furniture[n].center) in p.things[1])
+                furniture = {*there, *floors}
+            furniture &= set(self.home.enclosed) if inside else {*self.home.surfaces, *floors}
+            if not furniture:
                 what = "with an inside that opens" if inside else "with a surface"
                 raise SceneError(
-                    f"It has no furniture {what} for {', '.join(p.things[1][:3])}.", code="H3-LANGUAGE-026"
+                    f"It has no furniture {what} for {', '.join(p.things[-1][:3])}.", code="H3-LANGUAGE-026"
                 )
-            names = self._chosen(k, p.things[0], p.number, furniture & set(known), inside)
-            for name in names:
-                self._bring(name, k, furniture & set(known), inside)
+            for name in self._chosen(k, p.things[0], p.number, furniture, inside):
+                self._bring(name, k, furniture, inside)
 
     def _handle(self, k: int, p: Proposition) -> None:
         state, value = STATE_OF[p.function_name]
@@ -287,6 +287,7 @@ class PartnrPlan:
                 others = {stood[n] for n in of if n in stood and n not in stage.of}
                 if others and set(of) & set(stage.of):
                     allowed = allowed & others if kind == "Same" else allowed - others
+            allowed = {n for n in allowed if not n.startswith(FLOOR)} or allowed  # the floor if nothing else will do
             tries = (
                 spots.find(name, sorted(allowed), inside=stage.inside, other=stage.anchor, anchor=anchor)
                 for _ in range(TRIES if anchor else 1)
@@ -343,7 +344,8 @@ def plan_episode(
     ]
     errands, uses = plan.errands(), [list(plan.uses.get(name, ("", False))[:2]) for name in things]
     sources = _sources(record, scene)
-    starts = {name: (poses[name][:3], sources[name] or f"{home.lies_on.get(name, '')}|") for name in things}
+    lies_on = {name: home.lies_on.get(name) or f"{FLOOR}{room_at(layout, poses[name][:3])}" for name in things}
+    starts = {name: (poses[name][:3], sources[name] or f"{lies_on[name]}|") for name in things}
     taken = [
         (i.pose[:3], object_extent(scene, i)[0])
         for i in scene.instances
@@ -370,7 +372,7 @@ def plan_episode(
                 poses[name],
                 (goals.get(name) or [starts[name]])[0][0],
                 sources[name],
-                (goals.get(name) or [(0, "")])[0][1],
+                in_scene((goals.get(name) or [(0, "")])[0][1]),
             )
             for name in things
         )
@@ -396,7 +398,8 @@ def _sources(record: StoredLanguage, scene: Scene) -> dict[str, str]:
 
 def owner_in(receptacle: str) -> str:
     """Name of the furniture in that of a receptacle: ``counter_0`` in ``counter_0/drawer_1|bottom``."""
-    return receptacle.partition("|")[0].partition("/")[0]
+    name = receptacle.partition("|")[0]
+    return name if name.startswith(FLOOR) else name.partition("/")[0]
 
 
 def _original(evaluation: Evaluation, info: Mapping[str, Any]) -> list[Proposition]:

@@ -13,7 +13,7 @@ from h3data.policies import Action
 from h3data.scene.articulation import joints_of
 from h3data_language.episode import STATES
 from h3data_language.experts import HANDLING_WAIT
-from h3data_language.grounding import home_of, spoken
+from h3data_language.grounding import FLOOR, home_of, spoken
 from h3data_language.talk import Intent, say
 from h3data_language.task import why_not
 from h3data_play.app import Goal, Hud, Phrase, Spot, sentence_of
@@ -153,9 +153,12 @@ class LanguageApp(RearrangeApp):
         return [Phrase(text, text) for text in free] + [Phrase(SAID["please_move"], "please_move"), *found]
 
     def spots(self) -> list[Spot]:
-        """All furniture on or in which things can be put, and each room, by room."""
+        """All furniture on or in which things can be put, each room, and its floor, by room."""
         home = home_of(self.session.episode.scene, self.session.episode.spec.open_m)
         spots = [Spot(name, f"anywhere in {words}", spoken(name)) for words, name in home.rooms.items()]
+        spots += [
+            Spot(f"{FLOOR}{name}", f"on the floor of {words}", spoken(name)) for words, name in home.rooms.items()
+        ]
         for kind, places in (("", home.places), (INSIDE, home.insides)):
             for place in places.values():
                 for nth, name in enumerate(place.names):

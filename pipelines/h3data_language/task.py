@@ -36,7 +36,7 @@ from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.predicates import Rows, check_names
 from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
 from h3data_language.experts import EXPERTS, expert
-from h3data_language.grounding import home_of
+from h3data_language.grounding import FLOOR, home_of
 from h3data_language.partnr import MAX_STEPS, StoredLanguage, plan_episode, read_episode
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import ROBOT_BODY, kinds_of, with_body
@@ -223,6 +223,8 @@ class LanguageHousehold(Household):
         inside, place = to.place.startswith(INSIDE), to.place.removeprefix(INSIDE)
         known: Mapping[str, Any] = home.enclosed if inside else home.surfaces
         furniture = [n for n, p in home.place_of.items() if p.room == place] if place not in known else [place]
+        if place.startswith(FLOOR) and place.removeprefix(FLOOR) in home.layout.rooms:
+            furniture = [place]
         if not furniture or (to.next_to and to.next_to not in names):
             missing, there = (to.next_to, names) if furniture else (place, (*known, *home.rooms.values()))
             raise InputError(
@@ -264,7 +266,8 @@ def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Act
     Args:
         things: Names of the things of the task, as `Objects.names` has them.
         thing: Name of the thing.
-        place: Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture.
+        place: Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture, ``floor of
+            NAME`` for the floor of a room.
         next_to: Name of another thing, next to which it goes.
 
     Raises:

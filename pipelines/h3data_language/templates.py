@@ -1,9 +1,10 @@
 """Templates of tasks in words: their wordings, and what each asks for in clauses.
 
 A clause is a line of words: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p`` (any
-two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``next a b``,
-``near a,b,c`` (all together), ``clean a``, ``fill a``, ``pour a``, ``power a``, and ``at b p``, which asks for nothing: b lies
-on p from the start. Slots a, b, c are things, p and q furniture, r and s rooms, u and v furniture with doors or drawers.
+two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``floor a`` (on the
+floor, of the room that ``in a r`` names), ``next a b``, ``near a,b,c`` (all together), ``clean a``, ``fill a``, ``pour a``,
+``power a``, and ``at b p``, which asks for nothing: b lies on p from the start. Slots a, b, c are things, p and q furniture,
+r and s rooms, u and v furniture with doors or drawers.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ class Template(NamedTuple):
     """Pairs of clauses, the earlier first."""
     relation: str = ""
     """Relation of the first two clauses: ``same`` or ``different`` piece of furniture."""
+    by_name: bool = False
+    """True if it is sampled only where it is named: the sampled tasks of a set stay the same when templates are added."""
 
     @property
     def moves_twice(self) -> bool:
@@ -33,8 +36,8 @@ class Template(NamedTuple):
         return self.relation == "twice"
 
 
-def _free(name: str, clauses: tuple[str, ...], *wordings: str, relation: str = "") -> Template:
-    return Template(name, "free", clauses, wordings, relation=relation)
+def _free(name: str, clauses: tuple[str, ...], *wordings: str, relation: str = "", by_name: bool = False) -> Template:
+    return Template(name, "free", clauses, wordings, relation=relation, by_name=by_name)
 
 
 def _spatial(name: str, clauses: tuple[str, ...], *wordings: str) -> Template:
@@ -180,6 +183,19 @@ TEMPLATES: tuple[Template, ...] = (
     _mixed("wash_and_inside", ("clean a", "inside a u"), "Wash {a} and put it inside {u}."),
     _mixed("switch_on", ("power a",), "Switch on {a}.", "Turn {a} on."),
     _mixed("switch_on_there", ("on a p", "power a"), "Put {a} on {p}, and switch it on there.", order=((0, 1),)),
+    _free(
+        "floor", ("floor a", "in a r"), "Put {a} on the floor of {r}.", "{a} belongs on the floor of {r}.", by_name=True
+    ),
+    _free(
+        "floor_and_place", ("floor a", "in a r", "on b p"), "Put {a} on the floor of {r}, and {b} on {p}.", by_name=True
+    ),
+    Template(
+        "floor_next_to",
+        "spatial",
+        ("floor a", "in a r", "floor b", "next b a"),
+        ("Put {a} on the floor of {r}, and {b} next to it.",),
+        by_name=True,
+    ),
 )
 
 HANDLING = {"clean": ("clean", True), "fill": ("filled", True), "pour": ("filled", False), "power": ("powered", True)}

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import count, islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from h3data.commands.command import write_text
 from h3data.errors import SceneError
 from h3data.policies import AssignedPolicy, resolve_policy
-from h3data.scene.open import named_scenes, open_free_space, open_scene
+from h3data.scene.open import named_scenes
 from h3data.scene.scene_sets import find_scene_set
 from h3data.scene.sources import SceneSource
 from h3data.tasks import WorldRollout
+from h3data.terminal import counted
 from h3data_language.task import Language
+from h3data_pipelines.jobs.episodes import Job, dataset_rules
+from h3data_pipelines.jobs.failed_episodes import reason_of
+from h3data_pipelines.jobs.result_files import RESULTS, check_options, results_of
 from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.runner import run
@@ -56,10 +65,39 @@ class TaskHome(NamedTuple):
     source: SceneSource
     numbers: tuple[int, ...]
     """Numbers of its tasks in the run."""
+    place: int
+    """Number of the home among all that the scenes name."""
+    homes: int
+    """Number of homes that the scenes name."""
     seed_of: Callable[[int], int]
     """Seed of each of its episodes, by their index in the home."""
     skipped: tuple[int, ...] = ()
     """Indexes of episodes that the set skips already."""
+
+    def candidate(self, index: int) -> TaskCandidate:
+        """Return the episode of an index."""
+        base = Job(
+            index * self.homes + self.place,
+            self.seed_of(index),
+            self.name,
+            self.source,
+            Language.name,
+            dataset_rules(Language()),
+        )
+        return TaskCandidate(base, index)
+
+
+@dataclass(frozen=True)
+class TaskCandidate:
+    """One episode of a home, which may be a task."""
+
+    base: Job
+    index: int
+    """Index of the episode in the home."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything that determines the result."""
+        return {"episode": self.base.to_json(), "index": self.index}
 
 
 class SkippedTask(NamedTuple):
@@ -83,6 +121,19 @@ class VerifiedTask(NamedTuple):
     pair: PlayedTask
 
 
+class Verification(NamedTuple):
+    """The tasks of some homes, and the episodes that are none."""
+
+    tasks: list[VerifiedTask]
+    skipped: list[SkippedTask]
+    failed: list[str]
+    """Episodes that raised an error, and why; they are played again when the job goes on."""
+    short: list[str]
+    """Homes with fewer tasks than numbers, and why."""
+    new: int
+    """Number of episodes that were played now."""
+
+
 def tasks_in(scenes: str, *, episodes: int, seed: int) -> list[TaskHome]:
     """Tasks as ``h3data generate language`` samples them, by home.
 
@@ -94,14 +145,15 @@ def tasks_in(scenes: str, *, episodes: int, seed: int) -> list[TaskHome]:
     if known is not None:
         entries = (known.entry(which),) if which else known.scenes
         skipped = {} if seed else known.skipped.get(Language.name, {})
-        seeds = [partial(known.episode_seed, e.id, seed=seed) for e in entries]
-        homes = [TaskHome(e.id, e.source, (), s, skipped.get(e.id, ())) for e, s in zip(entries, seeds, strict=True)]
+        found = [(e.id, e.source, partial(known.episode_seed, e.id, seed=seed), skipped.get(e.id, ())) for e in entries]
     else:
         named = named_scenes(scenes)
-        homes = [
-            TaskHome(e.name, e.source, (), partial(_seed_in_turn, seed, k, len(named))) for k, e in enumerate(named)
-        ]
-    return [h._replace(numbers=tuple(range(k, episodes, len(homes)))) for k, h in enumerate(homes[:episodes])]
+        found = [(e.name, e.source, partial(_seed_in_turn, seed, k, len(named)), ()) for k, e in enumerate(named)]
+    count = len(found)
+    return [
+        TaskHome(name, source, tuple(range(k, episodes, count)), k, count, seed_of, tuple(left_out))
+        for k, (name, source, seed_of, left_out) in enumerate(found[:episodes])
+    ]
 
 
 def _seed_in_turn(seed: int, place: int, homes: int, index: int) -> int:
@@ -109,38 +161,121 @@ def _seed_in_turn(seed: int, place: int, homes: int, index: int) -> int:
     return episode_seed(seed, index * homes + place)
 
 
-def verify_home(task: Any, home: TaskHome) -> tuple[list[VerifiedTask], list[SkippedTask]]:
-    """Sample and play the tasks of one home; an episode that is no task, or is not completed, makes room for the next.
+def verify_candidate(folder: Path, candidate: TaskCandidate) -> dict[str, Any]:
+    """Sample and play one episode, and write the result to its file in a folder: the process that waits for it may end."""
+    task, base = Language(), candidate.base
+    result: dict[str, Any] = {"job": candidate.to_json(), "failed": "", "reason": ""}
+    try:
+        episode = base.episode()
+        alone, pair = verify_task(task, episode)
+    except SceneError as fault:
+        result["reason"] = f"could not be sampled [{fault.code}]"
+    except MemoryError:
+        raise
+    except Exception as fault:
+        return lost_candidate(candidate, fault)
+    else:
+        played = (("a person alone", alone), ("robot and person", pair))
+        if failing := [who for who, one in played if not one.success]:
+            result["reason"] = f"not completed by {' or '.join(failing)}"
+        result |= {
+            "uid": task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster]),
+            "kind": str(episode.extra["kind"]),
+            "instruction": task.codec.instruction(episode),
+            "alone": alone._asdict(),
+            "pair": pair._asdict(),
+        }
+    write_text(folder / f"{base.index:06d}.json", json.dumps(result) + "\n")
+    return result
 
-    There are fewer tasks than numbers if `TRIES` episodes in sequence are none.
+
+def lost_candidate(candidate: TaskCandidate, fault: Exception) -> dict[str, Any]:
+    """Return the result of an episode that raised an error, or whose process died."""
+    return {"job": candidate.to_json(), "failed": reason_of(fault), "reason": ""}
+
+
+def verify_homes(
+    homes: Sequence[TaskHome],
+    out: Path,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    progress: Callable[..., Any] | None = None,
+) -> Verification:
+    """Play the episodes of some homes in rounds, until each home has its tasks; ``out`` gets a file for each episode.
+
+    An episode that is no task, or is not completed, makes room for the next of its home. A home has fewer tasks than numbers if
+    `TRIES` episodes in sequence are none. Episodes that have a file already are not played again. The options are those of
+    `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
     """
-    spec = task.Spec()
+    check_options(resume=resume, force=force, workers=workers, executor="local")
+    results: dict[tuple[str, int], dict[str, Any]] = {}
+    new = 0
+    while True:
+        some = [_tasks_of(home, results) for home in homes]
+        wanted = [home.candidate(index) for home, (*_, more) in zip(homes, some, strict=True) for index in more]
+        if not wanted:
+            break
+        wanted.sort(key=lambda candidate: candidate.base.index)
+        played, played_now = results_of(
+            wanted,
+            out,
+            partial(verify_candidate, out / RESULTS),
+            lost=lost_candidate,
+            store=lambda result: result,
+            resume=resume,
+            force=force and not results,
+            workers=workers,
+            progress=None if progress is None else partial(_next_round, progress, len(results)),
+        )
+        new += played_now
+        results |= {(job.base.scene, job.index): result for job, result in zip(wanted, played, strict=True)}
+    return Verification(
+        [task for tasks, *_ in some for task in tasks],
+        [one for _, skipped, _ in some for one in skipped if one.reason],
+        [
+            f"episode {one.episode} of {one.home}: {results[one.home, one.episode]['failed']}"
+            for _, skipped, _ in some
+            for one in skipped
+            if not one.reason
+        ],
+        [
+            f"{home.name} has {len(tasks)} of {counted(len(home.numbers), 'task')}: {TRIES} episodes in sequence are none"
+            for home, (tasks, *_) in zip(homes, some, strict=True)
+            if len(tasks) < len(home.numbers)
+        ],
+        new,
+    )
+
+
+def _next_round(progress: Callable[..., Any], before: int, *, total: int, initial: int, **_options: str) -> Any:
+    """The progress of a round after those in which ``before`` episodes were played."""
+    return progress(total=before + total, initial=before + initial, desc="verify", unit="episode")
+
+
+def _tasks_of(
+    home: TaskHome, results: Mapping[tuple[str, int], dict[str, Any]]
+) -> tuple[list[VerifiedTask], list[SkippedTask], list[int]]:
+    """Tasks of a home, episodes that are none, and the indexes of episodes whose results are asked next."""
     found: list[VerifiedTask] = []
     skipped: list[SkippedTask] = []
-    scene = open_scene(home.source)
-    free = open_free_space(home.source, spec.agent_radius_m, spec.agent_height_m)
-    tries, index = 0, -1
-    while len(found) < len(home.numbers) and tries < TRIES:
-        index += 1
-        if index in home.skipped:
-            continue
+    tries = 0
+    left = (index for index in count() if index not in home.skipped)
+    while (missing := len(home.numbers) - len(found)) and tries < TRIES:
+        index = next(left)
+        result = results.get((home.name, index))
+        if result is None:
+            return found, skipped, [index, *islice(left, missing - 1)]
         tries += 1
-        try:
-            episode = task.episode(scene, free=free, seed=home.seed_of(index), spec=spec)
-        except SceneError as fault:
-            skipped.append(SkippedTask(home.name, index, f"could not be sampled [{fault.code}]"))
+        if result["failed"] or result["reason"]:
+            skipped.append(SkippedTask(home.name, index, result["reason"]))
             continue
-        uid = task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
-        words, kind = task.codec.instruction(episode), str(episode.extra["kind"])
-        alone, pair = verify_task(task, episode)
-        if failing := [
-            who for who, played in (("a person alone", alone), ("robot and person", pair)) if not played.success
-        ]:
-            skipped.append(SkippedTask(home.name, index, f"not completed by {' or '.join(failing)}"))
-            continue
-        found.append(VerifiedTask(home.numbers[len(found)], uid, kind, words, alone, pair))
+        alone, pair = (PlayedTask(**result[who]) for who in ("alone", "pair"))
+        number, instruction = home.numbers[len(found)], result["instruction"]
+        found.append(VerifiedTask(number, result["uid"], result["kind"], instruction, alone, pair))
         tries = 0
-    return found, skipped
+    return found, skipped, []
 
 
 def digest_of(tasks: Sequence[VerifiedTask]) -> str:
@@ -166,10 +301,13 @@ def rows_of_kinds(tasks: Sequence[VerifiedTask]) -> list[list[str]]:
     return rows
 
 
-def skip_table(skipped: Sequence[SkippedTask]) -> str:
-    """The table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none."""
-    by_home: dict[str, list[int]] = {}
-    for each in sorted(skipped):
-        by_home.setdefault(each.home, []).append(each.episode)
-    lines = [f"{home} = {indexes}" for home, indexes in by_home.items()]
+def skip_table(homes: Sequence[TaskHome], skipped: Sequence[SkippedTask]) -> str:
+    """The table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none.
+
+    It has what the set skips already, too, so that it can take the place of the set's.
+    """
+    indexes = {
+        home.name: sorted({*home.skipped, *(s.episode for s in skipped if s.home == home.name)}) for home in homes
+    }
+    lines = [f"{name} = {some}" for name, some in indexes.items() if some]
     return "\n".join([f"[skipped.{Language.name}]", *lines]) if lines else ""

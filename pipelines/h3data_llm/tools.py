@@ -10,8 +10,10 @@ import msgspec
 
 from h3data.errors import suggest
 from h3data.policies import LONGEST_MESSAGE
+from h3data_language.grounding import FLOOR
 from h3data_language.templates import HANDLING
 from h3data_llm.endpoint import LanguageModelError
+from sim_kinematic.agents.skills import INSIDE
 
 LONGEST_WAIT_S = 60
 MOST_CONTENT = 4000
@@ -24,7 +26,7 @@ class Parameter(NamedTuple):
 
     name: str
     kind: str
-    """``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or ``inside``."""
+    """``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or ``how``."""
     about: str
     optional: bool = False
 
@@ -68,15 +70,17 @@ class Names(NamedTuple):
             "opening": self.openings,
             "agent": self.agents,
             "handling": (*HANDLING,),
-            "inside": ("on", "inside"),
+            "how": ("on", *PREFIXES),
         }
         return known.get(kind, ())
 
 
+PREFIXES = {"inside": INSIDE, "floor": FLOOR}
+"""Beginnings of names of places, by words for them in calls."""
 _THING = Parameter("thing", "thing", "name of the thing")
 _WHERE = (
     Parameter("place", "place", "name of the furniture or room"),
-    Parameter("how", "inside", "on (default), or inside: in a drawer or behind a door", optional=True),
+    Parameter("how", "how", "on (default); inside: in a drawer or behind a door; floor: of a room", optional=True),
     Parameter("next_to", "thing", "name of another thing, to put it next to that", optional=True),
 )
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from h3data.policies import Action, Message, RearrangeView
 from h3data_language.experts import HANDLING_M, HANDLING_WAIT
+from h3data_language.grounding import FLOOR
 from h3data_language.templates import HANDLING
-from h3data_llm.tools import Call
+from h3data_llm.tools import PREFIXES, Call
 from h3data_llm.world_text import WorldText
 from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination, sentence
 from sim_kinematic.motion.spec import STEP_S
@@ -69,7 +70,7 @@ class Worker:
     def _destination(given: Mapping[str, Any]) -> Destination | None:
         if "place" not in given:
             return None
-        return Destination((INSIDE if given.get("how") == "inside" else "") + given["place"], given.get("next_to", ""))
+        return Destination(PREFIXES.get(given.get("how", ""), "") + given["place"], given.get("next_to", ""))
 
     # --- pieces of work -----------------------------------------------------------------------------------------------
     def _bring(self, view: RearrangeView, k: int, where: Destination | None) -> Work:
@@ -77,6 +78,8 @@ class Worker:
         if held not in (NOBODY, k):
             return f"Your hand holds {self._name(held)}. Put that down first."
         failures = 0
+        if where is not None and not self._text.has_place(where.place):
+            return f"There is no {where.place!r} where things can be put."
         if where is not None and not self._is_goal(view, k, where):
             view = yield from self._aim(k, where)
             if why := self._failure(view):
@@ -97,6 +100,8 @@ class Worker:
     def _is_goal(self, view: RearrangeView, k: int, where: Destination) -> bool:
         """Return whether a thing's goal is at a place already: then it keeps the one that the task has found for it."""
         on, inside = self._text.surface_of(view.goals[k])
+        if where.place.startswith(FLOOR):
+            return not on and not where.next_to and self._text.is_in(view.goals[k], where.place.removeprefix(FLOOR))
         asked = where.place.removeprefix(INSIDE)
         same = inside == where.place.startswith(INSIDE) and bool(on)
         return same and not where.next_to and (on == asked or self._text.is_in(view.goals[k], asked))

@@ -11,8 +11,9 @@ from h3data.policies import RearrangeView
 from h3data.recording import Event
 from h3data.scene.articulation import joint_names
 from h3data_language.evaluation.layout import Layout, Surface
-from h3data_language.grounding import Home, home_of, room_words, spoken
+from h3data_language.grounding import FLOOR, Home, home_of, room_words, spoken
 from h3data_llm.tools import Names
+from sim_kinematic.agents.skills import INSIDE
 from sim_kinematic.motion.state import NOBODY
 
 MESSAGES = 8
@@ -95,6 +96,15 @@ class WorldText:
                 if -OVER_M <= above < min(surface.clearance, best) and _covers(surface, x, z):
                     best, found = above, (name, surface.inside)
         return found
+
+    def has_place(self, place: str) -> bool:
+        """Return whether things can be put at the place of a `Destination`."""
+        home = self._home
+        if place.startswith(FLOOR):
+            return place.removeprefix(FLOOR) in self._layout.rooms
+        if place.startswith(INSIDE):
+            return place.removeprefix(INSIDE) in home.enclosed
+        return place in home.surfaces or place in home.rooms.values()
 
     def _where(self, view: RearrangeView, k: int) -> str:
         holder = int(view.held_by[k])

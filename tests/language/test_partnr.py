@@ -176,6 +176,7 @@ def whole(maker: Maker) -> list[dict[str, Any]]:
                 }
             ],
         ),
+        maker.episode([asks("is_on_floor", [mug]), asks("is_in_room", [mug], ["kitchen"]), next_to(cup, mug)]),
     ]
 
 
@@ -185,12 +186,30 @@ def test_orders_states_rooms_and_neighbors_are_played_by_the_expert(
 ) -> None:
     file = written(tmp_path / "val.json.gz", whole(maker))
     result = run(capsys, "generate", "language", "--episodes-file", file, "--assets", maker.root, "-o", tmp_path / "ds")
-    assert (result["episodes"], result["failed"], result["left_out"]) == (4, [], [])
+    assert (result["episodes"], result["failed"], result["left_out"]) == (5, [], [])
     for recording in h3data.open(tmp_path / "ds"):
         verdict = verdict_of(recording)
         assert verdict.percent_complete == 1, verdict.explanation
         assert recording.episode.info["instruction"].startswith("Wash the mug")
     assert verify(h3data.open(tmp_path / "ds").recording(1)).equal
+
+
+def test_things_on_the_floor_get_places_there(maker: Maker, place: Any) -> None:
+    mug, cup = maker.objects
+    table = maker.furniture("dining_table")
+    low, there = asks("is_on_floor", [mug]), asks("is_in_room", [mug], ["kitchen"])
+    for asked, floor in (
+        ([low], [True, False]),
+        ([low, there, next_to(cup, mug)], [True, True]),
+        ([there, asks("is_on_floor", [cup]), asks("is_in_room", [cup], ["bathroom"])], [False, True]),
+    ):
+        episode = place(maker.episode(asked))
+        assert evaluate_errands(episode.targets, episode.extra).percent_complete == 1
+        assert [bool(t.goal[1] < 0.2) for t in episode.targets] == floor
+        assert [t.destination == "" for t in episode.targets] == [True, True] if len(asked) < 2 else floor
+    with pytest.raises(H3DataError) as fault:
+        place(maker.episode([low, asks("is_on_top", [mug], [table])]))
+    assert fault.value.code == "H3-LANGUAGE-029"
 
 
 def entry_of(maker: Maker, entry: dict[str, Any]) -> Any:
@@ -219,7 +238,6 @@ def test_what_cannot_be_played_anywhere_is_refused_in_one_sentence(maker: Maker)
         ("H3-LANGUAGE-032", maker.episode([on], object_states={"is_clean": 3})),
         ("H3-LANGUAGE-022", maker.episode([])),
         ("H3-LANGUAGE-034", maker.episode([on], instruction="a" * 1_000_000)),
-        ("H3-LANGUAGE-023", maker.episode([asks("is_on_floor", [mug])])),
         ("H3-LANGUAGE-024", maker.episode([asks("is_powered_on", [table])])),
     ):
         assert refused(maker, entry) == code, entry["evaluation_propositions"]
@@ -269,7 +287,7 @@ def place(root: Path, maker: Maker) -> Any:
 
 def test_things_get_places_by_which_all_propositions_become_true(maker: Maker, place: Any) -> None:
     kinds = [place(entry).extra["kind"] for entry in whole(maker)]
-    assert kinds == ["heterogeneous", "free", "heterogeneous", "free"]
+    assert kinds == ["heterogeneous", "free", "heterogeneous", "free", "spatial"]
     episode = place(whole(maker)[0])
     assert episode.spec.max_steps == 20_000
     assert evaluate_errands(episode.targets, episode.extra).percent_complete == 1
@@ -281,9 +299,9 @@ def test_things_get_places_by_which_all_propositions_become_true(maker: Maker, p
 
 
 def test_info_counts_what_no_task_plays(maker: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    floor = maker.episode([asks("is_on_floor", [maker.objects[0]])])
-    shown = run(capsys, "info", written(tmp_path / "val.json.gz", [*whole(maker), floor, floor]))["found"][0]
-    assert shown["tasks"] == {"collaboration (PARTNR)": 6}
+    table = maker.episode([asks("is_powered_on", [maker.furniture("dining_table")])])
+    shown = run(capsys, "info", written(tmp_path / "val.json.gz", [*whole(maker), table, table]))["found"][0]
+    assert shown["tasks"] == {"collaboration (PARTNR)": 7}
     assert list(shown["unplayable"].values()) == [2]
 
 

@@ -117,6 +117,22 @@ def test_a_robot_that_is_played_brings_by_name_and_talks_on_its_way(tmp_path: Pa
     assert [e.kind for e in recording.events if e.kind in ("pick", "place")] == ["pick", "place"]
 
 
+@pytest.mark.parametrize("seat", ["robot", "person"])
+def test_players_bring_things_to_the_floor_of_a_room(tmp_path: Path, seat: str) -> None:
+    game = table(tmp_path, rules={"template": "floor"}, seats=(seat,)).begin(FIRST)
+    player = Player(game)
+    player.play()
+    assert game.app.hud(player.number).task == "Put the bowl from the bed in bedroom 1 on the floor of the kitchen."
+    (spot,) = [s for s in game.app.spots() if s.label == "on the floor of the kitchen"]
+    player.send(k="pick", o=0, lead=True)
+    player.until_free()
+    player.send(k="bring", place=spot.name)
+    player.until_free()
+    assert (player.said, game.ended) == ([], "success")
+    recording = finished(player, tmp_path)
+    assert measure_many([recording]).episodes[0].values["PC"] == 1.0
+
+
 def test_players_hear_what_is_for_them_in_words(tmp_path: Path) -> None:
     game = LiveGame(table(tmp_path, partner="language_talk", seats=("person", "person")), 0)
     one, two = (Player(game, number) for number in game.drivers)

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,7 +35,7 @@ from h3data_language.verification import (
     rows_of_kinds,
     skip_table,
     tasks_in,
-    verify_home,
+    verify_homes,
     verify_task,
 )
 from h3data_pipelines.cli import main
@@ -226,31 +231,46 @@ def test_generate_measures_the_other_episodes_if_one_cannot_be_sampled(
     assert "state_success" in said
 
 
+DONE, FAILED = PlayedTask(True, 1.0, 20), PlayedTask(False, 0.5, 90)
+
+
 def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What verify skips, a set with its lines skips too, in this task alone."""
-    done, failed = PlayedTask(True, 1.0, 20), PlayedTask(False, 0.5, 90)
-    results = iter([(done, failed), (done, done), (done, done)])
-    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: next(results))
+    played: list[int] = []
     sampled, home = episode("two_on"), tasks_in("h3-homes/val", episodes=24, seed=0)[3]
     assert home.numbers == (3, 15)
 
-    class Refuses(Language):
-        def episode(self, scene: Any, **more: Any) -> Any:
-            if more["seed"] == home.seed_of(1):
-                raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
-            return sampled
+    def sample(job: Any) -> Any:
+        played.append(job.seed)
+        if job.seed == home.seed_of(1):
+            raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
+        return sampled
 
-    found, skipped = verify_home(Refuses(), home)
-    assert [t.number for t in found] == [3, 15]
-    assert [(s.episode, s.reason) for s in skipped] == [
+    def fails_in_the_first(*_: Any) -> Any:
+        if played[-1] == home.seed_of(3) and len(played) == 4:
+            raise RuntimeError("a fault of ours")
+        return (DONE, FAILED if played[-1] == home.seed_of(0) else DONE)
+
+    monkeypatch.setattr("h3data_pipelines.jobs.episodes.Job.episode", sample)
+    monkeypatch.setattr("h3data_language.verification.verify_task", fails_in_the_first)
+    out = tmp_path / "verified"
+    done = verify_homes([home], out)
+    # 0 and 1 are none; 2 and 3 take their places, but 3 fails, and 4 takes its place
+    assert [index for index in range(5) if home.seed_of(index) in played] == list(range(5))
+    assert ([t.number for t in done.tasks], done.new, done.short) == ([3, 15], 5, [])
+    assert [(s.episode, s.reason) for s in done.skipped] == [
         (0, "not completed by robot and person"),
         (1, "could not be sampled [H3-LANGUAGE-010]"),
     ]
+    assert len(done.failed) == 1
+    assert done.failed[0].startswith("episode 3 of val_03: RuntimeError: a fault of ours")
+    again = verify_homes([home], out, resume=True)  # that one is played again, and is a task
+    assert (again.new, again.skipped, again.failed) == (1, done.skipped, [])
     text = 'format = 1\nname = "h3-homes"\nsplit = "val"\nscenes = [{ id = "val_03", seed = 1 }]\n'
     file = tmp_path / "mine.toml"
-    file.write_text(text + skip_table(skipped))
+    file.write_text(text + skip_table([home], again.skipped))
     known = read_scene_set(file)
     assert [known.place(k, "language")[1] for k in range(3)] == [2, 3, 4]
     assert [known.place(k)[1] for k in range(3)] == [0, 1, 2]
@@ -259,12 +279,56 @@ def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
         jobs = make_jobs(Choices(task="language"), str(file), episodes=1, seed=seed)
         assert jobs[0].seed == known.episode_seed("val_03", index, seed=seed)
         assert home.skipped == (() if seed else (0, 1))
+        assert skip_table([home], []) == ("" if seed else "[skipped.language]\nval_03 = [0, 1]")
     file.write_text(text + "[skipped.language]\nval_04 = [1]\n")
     with pytest.raises(FormatError, match="H3-SCENE-058"):
         read_scene_set(file)
     monkeypatch.setattr("h3data_language.verification.TRIES", 1)
-    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (failed, failed))
-    assert "H3-LANGUAGE-" in run(capsys, "language", "verify", "--scenes", HOME, "--episodes", 1, code=2)
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (FAILED, FAILED))
+    verify = ("language", "verify", "--scenes", HOME, "--episodes", 1)
+    assert "H3-LANGUAGE-" in run(capsys, *verify, code=2)
+    assert "H3-LANGUAGE-" in run(capsys, *verify, "--resume", code=2)
+    assert "H3-JOB-044" in run(capsys, *verify, "--resume", "-o", tmp_path / "nothing", code=2)
+    others = ("language", "verify", "--scenes", "h3-homes/val", "--episodes", 4, "--seed", 1)
+    assert "H3-JOB-045" in run(capsys, *others, "-o", out, code=2)
+
+
+SLOW_VERIFY = """
+import sys, time
+from h3data_language import verification as v
+from h3data_pipelines.cli import main
+v.verify_task = lambda task, episode: (time.sleep(0.05), (v.PlayedTask(True, 1.0, 3), v.PlayedTask(True, 1.0, 2)))[1]
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_verification_that_is_stopped_goes_on_where_it_was(
+    number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = [str(w) for w in ("language", "verify", "--scenes", HOME, "--episodes", 30, "-o", out)]
+    process = subprocess.Popen([sys.executable, "-c", SLOW_VERIFY, *words], stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 120
+    while len(list(out.glob("episodes/*.json"))) < 2:
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    there = {file: file.read_text() for file in sorted(out.glob("episodes/*.json"))}
+    assert 2 <= len(there) < 30
+    assert all(json.loads(text)["alone"]["success"] for text in there.values())
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert f"results of {len(there)} episodes in {out}: the same command goes on" in error
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (DONE, DONE))
+    words[words.index("30")] = str(len(there) + 2)
+    said = json.loads(run(capsys, *words, "--resume", "--quiet", "--json"))
+    assert said["new"] == 2
+    assert len(said["tasks"]) == len(there) + 2
+    assert {file: file.read_text() for file in there} == there
+    assert said["sha256"] in (out / "table.txt").read_text()
 
 
 def test_only_people_beside_a_thing_can_handle_it() -> None:
@@ -330,12 +394,54 @@ def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
     assert verify(recording).equal
 
 
+def test_things_are_put_on_the_floor_of_a_room_and_replays_do_the_same() -> None:
+    sampled = episode("two_on", 3)
+    one, other, third = [t.name for t in sampled.targets]
+    things = [one, other, third]
+    puts = put(things, one, "floor of kitchen"), put(things, other, "floor of kitchen", one), put(things, one, "sofa_0")
+    porters = (
+        {"robot": Porter([puts[0]]), "human": "language_still"},
+        {"human": Porter(list(puts)), "robot": "language_still"},
+    )
+    for who in porters:
+        recording = simulate(Language(), replace(sampled, spec=replace(sampled.spec, max_steps=2500)), who)
+        places = [event for event in recording.events if event.kind == "place"]
+        assert len(places) == len(next(p for p in who.values() if isinstance(p, Porter)).puts)
+        at = recording.columns["object_pose"][[e.step for e in places]]
+        rows = Rows(Layout.of_info(recording.episode.info), at, np.zeros(at.shape[:2], np.bool_))
+        low = Proposition("is_on_floor", {"object_handles": [one]})
+        there = Proposition("is_in_room", {"object_handles": [one], "room_ids": ["kitchen"]})
+        near = Proposition("is_next_to", {"entity_handles_a": [one], "entity_handles_b": [other]})
+        expected = [True, True, False][: len(places)]
+        assert [truth_of(p, rows)[0].tolist() for p in (low, there)] == [expected] * 2
+        assert truth_of(near, rows)[0].tolist() == [False, True, False][: len(places)]
+        assert verify(recording).equal
+
+
+def test_the_floor_is_asked_for_only_by_name() -> None:
+    assert not any(t.by_name for kind in KINDS for t in LanguageSpec().templates(kind))
+    assert [t.name for t in LanguageSpec(template="floor").templates()] == ["floor"]
+    sampled = episode("floor_next_to")
+    assert [p["function_name"] for p in sampled.extra["evaluation_propositions"]] == [
+        "is_on_floor",
+        "is_in_room",
+        "is_on_floor",
+        "is_next_to",
+    ]
+    assert [goal.destination for goal in Language().codec.record(sampled).goals][:2] == ["", ""]
+
+
 def test_destinations_that_do_not_exist_or_are_full_are_refused() -> None:
     session = h3data.session(
         Language(), scenes=OPEN_HOME, seed=3, spec=LanguageSpec(template="inside"), agents={"robot": External()}
     )
     things = session.play.team.objects.names
-    for place, next_to, code in (("moon_0", "", "018"), ("inside bed_0", "", "018"), ("bed_0", "spoon", "019")):
+    for place, next_to, code in (
+        ("moon_0", "", "018"),
+        ("floor of moon_0", "", "018"),
+        ("inside bed_0", "", "018"),
+        ("bed_0", "spoon", "019"),
+    ):
         with pytest.raises(InputError, match=f"H3-LANGUAGE-{code}"):
             session.refusal("robot", put(things, things[0], place, next_to))
     with pytest.raises(InputError, match="H3-LANGUAGE-019"):

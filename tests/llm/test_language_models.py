@@ -129,6 +129,19 @@ def test_a_model_opens_a_drawer_on_the_way_and_by_itself() -> None:
     assert "Doors and drawers:" in told[0]
 
 
+def test_a_model_puts_a_thing_on_the_floor_of_a_room() -> None:
+    task = episode("floor", max_steps=3000)
+    thing = task.targets[0].name
+    calls = [call("bring", thing=thing, place=place, how="floor") for place in ("sofa_0", "bedroom_1", "hall")]
+    with chat_server(script(calls)) as server:
+        made = play(task, server.policy(plans=3))
+    told = [request["messages"][-1]["content"] for request in server.requests]
+    assert told[1].startswith("There is no 'floor of sofa_0' where things can be put.")
+    assert told[2].startswith(f"{thing} is on the floor, in bedroom_1 now.")
+    assert made.episode.info["ended"] == "success"
+    assert verify(made).equal
+
+
 def test_a_model_that_searches_knows_nothing_at_first_and_is_woken_by_what_it_finds() -> None:
     task = episode("two_on", seed=1, max_steps=2500, observe="seen")
     with chat_server(script([call("explore")] * 3 + [call("explore", room="kitchen")] * 2)) as server:

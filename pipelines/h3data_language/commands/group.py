@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import tyro
 
 from h3data.commands import Group, JsonFlag, Outcome
 from h3data.commands.command import AssetsOption, ForceFlag
-from h3data.commands.executors import opened
 from h3data.errors import H3DataError, InputError, SceneError
 from h3data.progress import progress
 from h3data.terminal import aligned, counted
-
-if TYPE_CHECKING:
-    from h3data_language.verification import VerifiedTask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +46,13 @@ class LanguageVerify:
 
     Tasks are those of `h3data generate language` with the same scenes and seed. An episode that cannot be sampled, or that the
     expert does not complete, is skipped, and the next of its home takes its place; the lines `[skipped.language]` make a scene
-    set skip it too (h3data docs scene-sets). The digest is that of the identities of all tasks. The second example has the
-    tasks of the benchmark h3-language@1.
+    set skip it too (h3data docs scene-sets). The digest is that of the identities of all tasks. With -o, results are saved as
+    they come, and the same command continues after an interruption. The second example has the tasks of the benchmark
+    h3-language@1.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20
-        h3data language verify --scenes h3-homes-open/test --episodes 200 --workers 2
+        h3data language verify --scenes h3-homes-open/test --episodes 200 --workers 2 -o out/verified
     """
 
     scenes: str = "h3-homes/val"
@@ -65,55 +61,59 @@ class LanguageVerify:
     """Number of tasks."""
     seed: int = 0
     """Seed of everything random."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for the results: a file for each episode as soon as it has been played, and the table (default: keep none)."""
     workers: int = 1
     """Number of processes."""
+    resume: bool = False
+    """Continue a verification that was started with the same options, and fail if there is none. Without this option, an
+    existing one is continued too."""
+    force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A table by type of task; exit code 1 if a home has too few tasks."""
-        from h3data_language.task import Language
-        from h3data_language.verification import (
-            SkippedTask,
-            digest_of,
-            rows_of_kinds,
-            skip_table,
-            tasks_in,
-            verify_home,
-        )
+        """A table by type of task; exit code 1 if a home has too few tasks, or an episode raised an error."""
+        from h3data_language.verification import digest_of, rows_of_kinds, skip_table, tasks_in, verify_homes
+        from h3data_pipelines.jobs.result_files import write_table
 
         if self.episodes < 1:
             raise InputError(f"Expected --episodes of at least 1, got {self.episodes}.", code="H3-LANGUAGE-016")
+        if self.out is None and (self.resume or self.force):
+            raise InputError(
+                "Expected -o DIR, whose results --resume continues and --force replaces.", code="H3-LANGUAGE-037"
+            )
         homes = tasks_in(self.scenes, episodes=self.episodes, seed=self.seed)
-        tasks: list[VerifiedTask] = []
-        skipped: list[SkippedTask] = []
-        with (
-            opened("local", self.workers) as workforce,
-            progress(total=self.episodes, desc="verify", unit="task") as bar,
-            closing(workforce.run(partial(verify_home, Language()), homes)) as results,
-        ):
-            for some, others in results:
-                tasks += some
-                skipped += others
-                bar.update(len(some))
-        if not tasks:
+        with TemporaryDirectory() as scratch:
+            done = verify_homes(
+                homes,
+                self.out or Path(scratch) / "results",
+                resume=self.resume,
+                force=self.force,
+                workers=self.workers,
+                progress=progress,
+            )
+        if not done.tasks:
             raise SceneError(
-                f"None of {len(skipped)} episodes of {self.scenes} is a task: {skipped[0].reason}.",
+                f"None of the episodes of {self.scenes} is a task: {[*(s.reason for s in done.skipped), *done.failed][0]}.",
                 code="H3-LANGUAGE-020",
             )
-        tasks.sort()
-        reasons = Counter(each.reason for each in skipped)
+        tasks = sorted(done.tasks)
+        reasons = Counter(each.reason for each in done.skipped)
         lines = [aligned(rows_of_kinds(tasks))]
         lines += [f"skipped {counted(count, 'episode')}: {reason}" for reason, count in reasons.items()]
-        digest, table = digest_of(tasks), skip_table(skipped)
-        return Outcome(
-            text="\n".join([*lines, *([table] if table else []), f"sha256 {digest}"]),
-            data={
-                "tasks": [{**t._asdict(), "alone": t.alone._asdict(), "pair": t.pair._asdict()} for t in tasks],
-                "skipped": [each._asdict() for each in skipped],
-                "sha256": digest,
-            },
-            exit_code=int(len(tasks) < self.episodes),
-        )
+        lines += [f"failed {line}" for line in done.failed]
+        digest, table = digest_of(tasks), skip_table(homes, done.skipped)
+        text = "\n".join([*lines, *done.short, *([table] if table else []), f"sha256 {digest}"])
+        data = {
+            "tasks": [{**t._asdict(), "alone": t.alone._asdict(), "pair": t.pair._asdict()} for t in tasks],
+            "skipped": [each._asdict() for each in done.skipped],
+            "failed": done.failed,
+            "new": done.new,
+            "sha256": digest,
+        }
+        if self.out is not None:
+            write_table(self.out, text, data)
+        return Outcome(text=text, data=data, exit_code=int(bool(done.short or done.failed)))
 
 
 @dataclass(frozen=True, kw_only=True)
