@@ -15,7 +15,7 @@ from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.opening.reachable import openables_at
 from sim_kinematic.agents.oracle.actors import SubGoal, SubGoals
-from sim_kinematic.agents.oracle.ways import PathTable, paths_to
+from sim_kinematic.agents.oracle.ways import paths_to
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
