@@ -125,7 +125,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return own_version()
     if name not in _HOMES:
-        raise AttributeError(f"Module 'h3data' has no attribute {name!r}.{suggest(name, __all__, lead='It has')}")
+        raise AttributeError(f"module 'h3data' has no attribute {name!r}.{suggest(name, __all__, lead='It has')}")
     return import_name(_HOMES[name], name)
 
 
