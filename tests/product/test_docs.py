@@ -239,6 +239,18 @@ def test_helps_on_the_site_fit_their_column() -> None:
     assert filled == "usage: x\n\nwords that were broken\n\n options\n  --a  one\n"
 
 
+def test_the_reference_explains_every_parameter_of_a_function() -> None:
+    conf = runpy.run_path(str(DOCS / "conf.py"))
+    for name in h3data.__all__:
+        function = getattr(h3data, name)
+        if inspect.isfunction(function):
+            texts = conf["parameter_texts"](name, function)
+            assert all(texts.values()), (name, [parameter for parameter, text in texts.items() if not text])
+            documented = inspect.getdoc(function) or ""
+            for parameter in inspect.signature(function).parameters:
+                assert parameter in texts or re.search(rf"\b{parameter}\b", documented), (name, parameter)
+
+
 def test_examples_of_help_exist() -> None:
     tried = 0
     for top in COMMANDS.values():
