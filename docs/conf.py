@@ -17,6 +17,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import docstring_parser
+
 import h3data
 
 HERE = Path(__file__).parent
@@ -35,6 +37,8 @@ MODULES = {
     "h3data.stats": "Statistics for comparisons.",
 }
 
+CALLED = {"import_": ("import", ""), "run_benchmark": ("benchmark", "run"), "verify_benchmark": ("benchmark", "verify")}
+"""Commands, and their parts, of functions with another name."""
 ASTERISK = re.compile(r"(``.*?``|`[^`]*`)|\*")
 """Code, which stays, or an asterisk outside of it."""
 
@@ -70,6 +74,7 @@ def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("builder-inited", lambda _: write_references())
     app.connect("autodoc-process-docstring", as_restructured_text, priority=400)
+    app.connect("autodoc-process-docstring", with_parameters, priority=450)  # before napoleon's 500
     app.connect("autodoc-process-docstring", without_types, priority=600)  # after napoleon's 500
     app.connect("autodoc-process-signature", with_short_types)
 
@@ -84,6 +89,48 @@ def as_restructured_text(app: Any, what: str, name: str, found: Any, options: An
     lines[:] = [ASTERISK.sub(lambda found: found[1] or r"\*", line) for line in lines]
     if what in ("attribute", "property", "data"):
         _attributes[name] = list(lines)
+
+
+def with_parameters(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Functions that are commands too have their parameters explained by the command, `simulate` by `session`."""
+    module, _, function = name.rpartition(".")
+    if what == "function" and module == "h3data":
+        lines += [*(f":param {parameter}: {text}" for parameter, text in parameter_texts(function, found).items()), ""]
+
+
+def parameter_texts(name: str, function: Any) -> dict[str, str]:
+    """Texts of the parameters of a function of h3data that its own docstring does not explain."""
+    from h3data.commands.command import Group
+    from h3data.commands.options import options_of
+    from h3data_pipelines.commands.table import all_commands
+
+    own = {one.arg_name.lstrip("*") for one in docstring_parser.parse(inspect.getdoc(function) or "").params}
+    if name == "simulate":
+        texts = {
+            one.arg_name.lstrip("*"): one.description or ""
+            for one in docstring_parser.parse(inspect.getdoc(h3data.session) or "").params
+        }
+    else:
+        first, second = CALLED.get(name, (name, ""))
+        command = all_commands().get(first)
+        command = command.commands[second] if isinstance(command, Group) else command
+        if command is None:
+            return {}
+        # some texts stand under the field, others are those of a type that commands share
+        texts = {
+            one.field: next((m.help for m in one.metadata if getattr(m, "help", None)), "")
+            for one in options_of(command)
+        }
+        texts |= {
+            one.arg_name: one.description
+            for one in docstring_parser.parse_from_object(command).params
+            if one.description
+        }
+    return {
+        parameter: ASTERISK.sub(lambda found: found[1] or r"\*", " ".join(texts.get(parameter, "").split()))
+        for parameter in inspect.signature(function).parameters
+        if parameter not in own
+    }
 
 
 def without_types(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:

@@ -120,12 +120,12 @@ if (
 
 
 def __getattr__(name: str) -> Any:
-    from h3data.plugins import import_name, own_version
+    from h3data.plugins import import_name, own_version, suggest
 
     if name == "__version__":
         return own_version()
     if name not in _HOMES:
-        raise AttributeError(f"module 'h3data' has no attribute {name!r}; it has {', '.join(__all__)}")
+        raise AttributeError(f"module 'h3data' has no attribute {name!r}.{suggest(name, __all__, lead='It has')}")
     return import_name(_HOMES[name], name)
 
 

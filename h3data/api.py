@@ -60,17 +60,29 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
-    """Opens one episode: ``episode.mcap``, ``ds#3``, ``s3://bucket/ds#3``; fails as `open`."""
+    """Open one episode.
+
+    Args:
+        path: ``episode.mcap``, ``ds#3`` or ``s3://bucket/ds#3``; errors are those of `open`.
+    """
     return open(path, Recording)
 
 
 def load_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """Opens a dataset: a folder, or ``s3://bucket/ds``; fails as `open`."""
+    """Open a dataset.
+
+    Args:
+        path: Folder, or ``s3://bucket/ds``; errors are those of `open`.
+    """
     return open(path, Dataset)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """Opens a home or scene: ``small:3``, ``h3-homes/test#3``, a GLB, a scene of Habitat; fails as `open`."""
+    """Open a home or scene.
+
+    Args:
+        path: ``small:3``, ``h3-homes/test#3``, a GLB or a scene of Habitat; errors are those of `open`.
+    """
     from h3data.scene import Scene
 
     return open(path, Scene)
@@ -153,6 +165,16 @@ def render_frame(
 
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people``,
     ``light`` and ``stand_ins`` of its own.
+
+    Args:
+        recording: Recording, or a replay of one.
+        camera: Name of a camera, or a .toml or .json file with one.
+        step: Step that is shown.
+        outputs: Images to render.
+        assets: Folders to search for recorded asset files.
+        people: Appearance of people: skin, collision capsules, or bones.
+        light: ``baked``, from windows, sun and lamps; or ``flat``, the same everywhere.
+        stand_ins: True if built-in robots and people and plain boxes take the place of assets that are not found.
     """
     if isinstance(recording, Replay):
         replay = recording

@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 
 def build_home(spec: HomeSpec) -> Scene:
-    """A furnished home; see `h3data_homes.build.build_home`, which is imported at the first call."""
+    """Return a furnished home.
+
+    Args:
+        spec: Size, rooms, style and seed of the home.
+    """
     from h3data_homes.build import build_home as build
 
     return build(spec)

@@ -96,9 +96,10 @@ def simulate(
     sensors: Sequence[str] = (),
     **overrides: RuleValue,
 ) -> Recording:
-    """Play one episode under policies and returns its recording; arguments as `session`.
+    """Play one episode under policies and return its recording; other arguments as `session`.
 
-    ``sensors`` of robots, such as ``("lidar",)``, are recorded with every step (h3data docs lidar).
+    Args:
+        sensors: Sensors of robots, such as ``("lidar",)``, that are recorded with every step (h3data docs lidar).
     """
     changes = {"rules": rules, "human_speed": human_speed, "max_steps": max_steps, **overrides}
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)

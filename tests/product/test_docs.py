@@ -199,6 +199,26 @@ def test_the_glossary_holds_every_metric_of_the_paper() -> None:
         }
 
 
+def test_the_comparison_has_the_papers_columns_and_systems_with_a_speed_each() -> None:
+    _, _, section = (
+        (DOCS / "comparison.md").read_text(encoding="utf-8").partition("## In the columns of the Habitat 3.0 paper")
+    )
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.partition("\n## ")[0].splitlines()
+        if line.startswith("| ")
+    ]
+    assert rows[0][2:] == [
+        *("people", "body model", "control of people", "human in the loop"),
+        *("simulation", "several agents", "authored scenes", "speed"),
+    ]
+    speeds = {row[0].strip("*"): row[-1] for row in rows[1:]}
+    systems = "VirtualHome VRKitchen SAPIEN AI2-THOR ThreeDWorld SEAN iGibson h3data MetaUrban InternUtopia SymbioSim"
+    for name in (*systems.split(), "Habitat 2.0", "Habitat 3.0", "Virtual Community", "TongSIM", "Isaac Lab-Arena"):
+        (speed,) = (speed for system, speed in speeds.items() if system.startswith(name))
+        assert speed[0].isdigit() or speed.startswith("none published"), name
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_that_install_h3data_install_its_compiled_kernels_too(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
@@ -237,6 +257,18 @@ def test_helps_on_the_site_fit_their_column() -> None:
     assert seen > 10
     filled = conf["wrapped"]("usage: x\n\nwords that\nwere broken\n\n options\n -----\n  --a  one\n")
     assert filled == "usage: x\n\nwords that were broken\n\n options\n  --a  one\n"
+
+
+def test_the_reference_explains_every_parameter_of_a_function() -> None:
+    conf = runpy.run_path(str(DOCS / "conf.py"))
+    for name in h3data.__all__:
+        function = getattr(h3data, name)
+        if inspect.isfunction(function):
+            texts = conf["parameter_texts"](name, function)
+            assert all(texts.values()), (name, [parameter for parameter, text in texts.items() if not text])
+            documented = inspect.getdoc(function) or ""
+            for parameter in inspect.signature(function).parameters:
+                assert parameter in texts or re.search(rf"\b{parameter}\b", documented), (name, parameter)
 
 
 def test_examples_of_help_exist() -> None:

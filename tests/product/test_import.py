@@ -22,5 +22,7 @@ def test_every_public_name_exists(name: str) -> None:
 
 
 def test_unknown_names_list_what_there_is() -> None:
-    with pytest.raises(AttributeError, match="render_frame"):
-        _ = h3data.nothing
+    with pytest.raises(AttributeError, match=r"It has: Dataset, .*render_frame"):
+        _ = h3data.zzz
+    with pytest.raises(AttributeError, match=r"no attribute 'mesure'\. Did you mean 'measure'\?$"):
+        _ = h3data.mesure
