@@ -25,9 +25,7 @@ Kind = Literal["robot", "human"]
 ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
 """Default bodies for 'robot' and 'human'."""
 ATTEMPTS = 100
-"""Places sampled for one agent before the distance to the others is halved, down to `NEAREST_M`."""
-NEAREST_M = 1.0
-"""Least distance between two agents at the start [m]."""
+"""Places sampled for one agent before the distance to the others is halved, down to 1 m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,6 +158,8 @@ def sample_places(
     """
     places = {k: np.asarray(place, np.float64) for k, place in (taken or {}).items()}
     fits = {id(a.body): robot_fits(a.body, rules, scene, free) for a in roster if isinstance(a.body, Robot)}
+    # least distance between two agents at the start [m]
+    nearest_m = 1.0
     for k, agent in enumerate(roster):
         if k in places:
             continue
@@ -177,7 +177,7 @@ def sample_places(
             attempts += 1
             if attempts == ATTEMPTS:
                 distance, attempts = distance / 2, 0
-                if distance < NEAREST_M:
+                if distance < nearest_m:
                     raise SceneError(
                         f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.",
                         code="H3-SIM-021",

@@ -35,8 +35,6 @@ ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 TRIES = 3
 """Number of failures at an object after which a planner goes on to the next."""
-IN_REACH_M = 0.9
-"""Distance to an object below which an agent may be about to take it [m]."""
 
 
 class HighLevelPolicy(Protocol):
@@ -215,9 +213,11 @@ def persons_object(view: RearrangeView) -> int:
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:
         return -1
+    # distance to an object below which an agent may be about to take it [m]
+    in_reach_m = 0.9
     if moved < 0.1:  # they stand: perhaps about to take what is before them
         gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
-        return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
+        return left[int(np.argmin(gaps))] if min(gaps) < in_reach_m else -1
     # who walks straight along the path to an object has shortened it by as much as they moved
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
     best = int(np.argmax(gain))

@@ -41,9 +41,6 @@ from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
 
-BLOCK = 30
-"""Number of rows that the sink gets at once: one second, which is what a crash may lose."""
-
 
 class Sink(Protocol):
     """Receiver of an episode while it runs, such as `h3data.recording.RecordingWriter`."""
@@ -171,7 +168,9 @@ class Recorder:
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
         self._beside.append(tuple(self.beside.values()))
-        if len(self._rows) == BLOCK:
+        # number of rows that the sink gets at once: one second, which is what a crash may lose
+        block = 30
+        if len(self._rows) == block:
             self._close_block()
         self._take()
 

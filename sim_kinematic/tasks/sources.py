@@ -21,8 +21,6 @@ from sim_kinematic.tasks.task import Task
 
 SceneChoice = str | os.PathLike[str] | Scene
 Scenes = SceneChoice | Sequence[SceneChoice]
-ATTEMPTS = 20
-"""Number of homes and seeds that are tried before a source gives up, as some homes have no room for some episodes."""
 
 
 class Home:
@@ -92,10 +90,13 @@ class EpisodeSource:
         """Return the episode ``index`` of the run ``seed``.
 
         Raises:
-            SceneError: None of `ATTEMPTS` homes and seeds has room for an episode.
+            SceneError: None of 20 homes and seeds has room for an episode.
         """
         fault: SceneError | None = None
-        for attempt in range(ATTEMPTS):
+        # number of homes and seeds that are tried before a source gives up, as some homes have no room for
+        # some episodes
+        attempts = 20
+        for attempt in range(attempts):
             # another seed changes home and episode; another index would give a later episode of the run twice
             run = seed if attempt == 0 else episode_seed(seed, attempt)
             home = self.homes[self.home_of(run, index)]

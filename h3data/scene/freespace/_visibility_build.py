@@ -15,9 +15,6 @@ from h3data.scene.freespace._visibility import GROW_M, Graph, bucket_edges, visi
 
 log = logging.getLogger(__name__)
 
-BUCKET_M = 0.3
-"""Side of a bucket of blocking edges."""
-
 
 def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
     """The polygons of any geometry, largest first."""
@@ -136,7 +133,9 @@ def _reflex_corners(area: MultiPolygon) -> tuple[NDArray, NDArray, NDArray, NDAr
 
 def _buckets(area: MultiPolygon, grown: list[Polygon], labels: list[int]) -> tuple[NDArray, float, NDArray]:
     """Grid over the area: origin [2], side, and the island at the middle of each bucket int32 [bx, bz]."""
-    size = BUCKET_M
+    # side of a bucket of blocking edges
+    bucket_m = 0.3
+    size = bucket_m
     if area.is_empty:
         return np.zeros(2), size, np.full((1, 1), -1, np.int32)
     x0, z0, x1, z1 = area.bounds

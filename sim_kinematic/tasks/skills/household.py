@@ -59,19 +59,6 @@ from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.tasks.team import Columns, Team
 from sim_kinematic.world import Command
 
-DTYPES: dict[str, type] = {
-    "base_pose": np.float32,
-    "joint_pos": np.float32,
-    "root_pose": np.float32,
-    "joint_quat": np.float32,
-    "grasp_body": np.int32,
-    "action": np.float32,
-    "skill": np.int32,
-    "skill_target": np.int32,
-    "object_pose": np.float32,
-    JOINTS: np.float32,
-}
-"""Types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``."""
 CONTACT = "contact"
 # one second of 30 steps, and the present
 TRACK = 31
@@ -592,8 +579,21 @@ class Household(Team):
         # not columns of their own: any robot's contact makes `metrics.robot_contact`
         contact = [columns.pop(f"agent_{actor.number}.{CONTACT}") for actor in self.robots]
         places = [columns[f"agent_{number}.base_pose"][:, [0, 2]] for number in range(len(self.actors))]
+        # types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``
+        dtypes: dict[str, type] = {
+            "base_pose": np.float32,
+            "joint_pos": np.float32,
+            "root_pose": np.float32,
+            "joint_quat": np.float32,
+            "grasp_body": np.int32,
+            "action": np.float32,
+            "skill": np.int32,
+            "skill_target": np.int32,
+            "object_pose": np.float32,
+            JOINTS: np.float32,
+        }
         block = {
-            name: values.astype(DTYPES[name.partition(".")[2] if name.startswith("agent_") else name])
+            name: values.astype(dtypes[name.partition(".")[2] if name.startswith("agent_") else name])
             for name, values in columns.items()
         }
         return block, places, np.any(contact, axis=0) if contact else None
