@@ -310,7 +310,7 @@ class Registry(Generic[T]):
         )
 
     def missing(self) -> dict[str, str]:
-        """Packages of h3data that are not installed, by the name of the entry that each would add."""
+        """Return the packages of h3data that are not installed, by the name of the entry point that each of them would add."""
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()

@@ -185,7 +185,10 @@ def opened(scene: Scene) -> Scene:
 
 
 def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[Articulation, ...]:
-    """The articulated things with these positions as their rest: axes and handles are carried along by their parents."""
+    """Return the articulated things as they are at some joint positions, which become their positions at rest.
+
+    Each part moves the axes and handles of the parts that hang on it.
+    """
     things, k = [], 0
     for thing in scene.articulations:
         frame = pose_to_matrix(np.asarray(thing.pose, np.float64))

@@ -37,7 +37,6 @@ SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
-"""Hands in the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):

@@ -83,7 +83,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Number and span of the skills begun before step ``stop``, unless they were handed out complete before.
+        """Return number and span of each skill that began before step ``stop``, without those that were returned complete before.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

@@ -41,7 +41,7 @@ def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -
 
 
 def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
-    """Positions from where a joint is to the end of its range that is farther away."""
+    """Return positions of a joint on the way from its present one to the end of its range that is farther away."""
     share = float(openables.joints.shares(openables.positions)[k])
     return openables.travel(k, opens=share < 0.5)
 

@@ -361,7 +361,10 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def _fold_arm(self) -> Generator[None, None, None]:
-        """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
+        """Folds the arm and stands until the hand is nearly over the base.
+
+        Without this, a robot drove off with its arm stretched out, and its hand got 6 cm into a wall.
+        """
         farthest_m, rest = self._folded_m + ARM_OUT_M, self.robot.rest.tobytes()
         # an arm at rest is folded; most drives begin so, and its frames cost more than the comparison
         while not self._is_instant and self.joints.tobytes() != rest:

@@ -107,7 +107,7 @@ def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
 
 
 def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """The reverse of `pack_faces`."""
+    """Return the triangles [F, 3] that `pack_faces` has packed into planes of bytes [3, 2, F]."""
     steps = planes[:, 0].astype(np.uint16) | planes[:, 1].astype(np.uint16) << np.uint16(8)
     # sums wrap at 16 bits, as the differences did
     first = np.cumsum(steps[0], dtype=np.uint16)

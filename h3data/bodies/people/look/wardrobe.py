@@ -149,7 +149,7 @@ class Wardrobe:
     data: Mapping[str, NDArray[Any]]
 
     def patch(self, piece: str, detail: Detail) -> Patch:
-        """A piece as a patch; read at every call."""
+        """Read the patch of a piece of clothing from its file. The patch is not cached."""
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
