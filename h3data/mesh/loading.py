@@ -13,12 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import H3DataError, MissingAssetError, SceneError
 from h3data.geometry import Array, normalized
 from h3data.mesh.gltf import GltfFile, local_matrix
-from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
+from h3data.mesh.gltf_primitives import PlainMesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import joined
 from h3data.plugins import Registry
-
-__all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _GLTF_SUFFIXES = (".glb", ".gltf")

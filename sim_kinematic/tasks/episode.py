@@ -189,22 +189,14 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
     if kind is float and type(value) is int:
         value = float(value)
     if kind is tuple and isinstance(value, list) and len(value) == len(now):
-        value = tuple(map(_rule_number, value))
+        value = tuple(float(number) if type(number) in (int, float) else None for number in value)
     # True is an int to Python and NaN a float, so types are compared exactly and NaN is refused
     numbers = value if isinstance(value, tuple) else (value,)
     if type(value) is not kind or any(number is None or number != number for number in numbers):
-        given = value if isinstance(value, str) else json.dumps(value)
+        given, example = (v if isinstance(v, str) else json.dumps(v) for v in (value, now))
         shape = f" of length {len(now)}" if kind is tuple else ""
         raise InputError(
-            f"Expected the rule {name} to be {rule_kinds[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            f"Expected the rule {name} to be {rule_kinds[kind]}{shape}, as {name}={example}; got {given}.",
             code="H3-JOB-021",
         )
     return value
-
-
-def _rule_number(value: Any) -> float | None:
-    return float(value) if type(value) in (int, float) else None
-
-
-def _as_text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)

@@ -14,8 +14,6 @@ import numpy as np
 from h3data.bodies.robots.urdf import Urdf, UrdfLink, UrdfPart, missing_meshes
 from h3data.bodies.robots.urdf_parts import UrdfGeometry
 
-log = logging.getLogger(__name__)
-
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
     """Returns a URDF of meshes that exist, and the names of the links whose shapes are all their own.
@@ -25,7 +23,7 @@ def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
     missing = missing_meshes(urdf.links)
     if missing:
         named = ", ".join(str(path) for path in missing[:3]) + (", ..." if len(missing) > 3 else "")
-        log.warning(
+        logging.getLogger(__name__).warning(
             "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
             *(urdf.name, len(missing), named, urdf.path),
         )

@@ -83,7 +83,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Return number and span of each skill that began before step ``stop``, without those that were returned complete before.
+        """Return number and span of each skill begun before step ``stop``, except those that were returned complete before.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

@@ -13,8 +13,6 @@ from h3data.errors import SceneError
 from h3data.scene.freespace._potentially_visible import potentially_visible
 from h3data.scene.freespace._visibility import GROW_M, Graph, bucket_edges, visibility_edges
 
-log = logging.getLogger(__name__)
-
 
 def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
     """The polygons of any geometry, largest first."""
@@ -77,7 +75,9 @@ def build_graph(area: MultiPolygon) -> Graph:
     # the kernels test crossings in floating point; shapely decides once more about each edge
     good = edges_inside(area, nodes[pairs[:, 0]], nodes[pairs[:, 1]])
     if not good.all():
-        log.warning("Visibility graph: %d of %d edges leave the free area and are dropped.", (~good).sum(), len(good))
+        logging.getLogger(__name__).warning(
+            "Visibility graph: %d of %d edges leave the free area and are dropped.", (~good).sum(), len(good)
+        )
     distance, previous = _all_pairs(len(nodes), pairs[good], lengths[good])
     return graph._replace(distance=distance, previous=previous)
 
