@@ -33,8 +33,6 @@ ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
-TRIES = 3
-"""Number of failures at an object after which a planner goes on to the next."""
 
 
 class HighLevelPolicy(Protocol):
@@ -93,6 +91,8 @@ class Plan(NamedTuple):
         places = xp.cumsum(xp.ones_like(order), -1) - 1
         count, chosen = (order >= 0).sum(-1), xp.full_like(passed, -1)
         mine_all, free_all = held_by == agent, ~at_goal & ((held_by == agent) | (held_by == NOBODY))
+        # number of failures at an object after which a planner goes on to the next
+        most_tries = 3
         # each round passes one object at most; later rounds change nothing where one has been chosen
         for _ in range(order.shape[-1]):
             asked = asked & (passed < count)
@@ -100,7 +100,7 @@ class Plan(NamedTuple):
             tries = tries + (asked & failed)
             # numbers of places are numbers of objects too: a plan is as long as there are objects
             here = places == k[:, None]
-            goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < TRIES)))
+            goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < most_tries)))
             chosen, asked = xp.where(goes, k, chosen), asked & ~goes
             passed, tries = passed + asked, xp.where(asked, 0, tries)
         return chosen, Plan(order, passed, tries)

@@ -80,8 +80,6 @@ Habitat's configuration, at the places that the task gave them), and the result 
 the person does or holds, nor where objects are now, nor what is at its goal, nor any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
 """Observations without which no chooser works."""
-NEEDED = ("held_by_other", *CHOOSING)
-"""Observations without which no chooser works that has no camera."""
 
 
 def rest_count(agent: str) -> int:
@@ -244,7 +242,9 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Array]) -> list[str]:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
-    all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, NEEDED)
+    # observations without which no chooser works that has no camera
+    always_needed = ("held_by_other", *CHOOSING)
+    all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, always_needed)
     known = tuple(name for name in all_names if name in card.observations or name in needed)
     # the order counts, as it is that of the columns of the weights
     if card.observations != known:
