@@ -115,7 +115,7 @@ def _lines_bar() -> type[tqdm[Any]]:
                 self.fp.flush()
 
         def clear(self, nolock: bool = False) -> None:
-            """Nothing to wipe off a log."""
+            """Do nothing: a log has no bar that would have to be wiped off."""
 
         def close(self) -> None:
             self.disable = True  # without a last line: the result that the caller prints says that the work is done

@@ -15,7 +15,7 @@ def printable(text: str) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """``1 episode``, ``2 episodes``."""
+    """Return a number with its noun in the singular or the plural: ``1 episode``, ``2 episodes``."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 

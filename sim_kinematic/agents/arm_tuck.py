@@ -197,7 +197,7 @@ def held_close(
 
 @lru_cache(maxsize=64)
 def width_m(body: Humanoid) -> float:
-    """Return the distance [m] by which the capsules of a standing person with both arms folded extend to one side."""
+    """Return half the width [m] of a person who stands with both arms folded, measured by the capsules of the body."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
     # z of the agent root frame is the person's side

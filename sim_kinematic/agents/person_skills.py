@@ -189,7 +189,7 @@ class PersonActor:
         return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
-        """Stands still for one step."""
+        """Stand still for one step."""
         self._stand()
 
     def _wait(self, steps: int) -> Skill:

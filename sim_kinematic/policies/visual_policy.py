@@ -109,7 +109,7 @@ class CardedNetwork:
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
-        """The weights by name, [in, out]."""
+        """Weights of the layers by name, transposed to [in, out]."""
         # [in, out] in memory too: the inner loop of `affine` runs along the outputs
         rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
         return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
@@ -148,7 +148,7 @@ class VisualPolicy(CardedNetwork):
 
     @property
     def outputs(self) -> int:
-        """Numbers of an action."""
+        """Number of values in an action of the policy."""
         return self.card.actions
 
     @property

@@ -83,7 +83,7 @@ class Household(Team):
         """`World.touching` where nobody touches anybody."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Put agents and things where the episode begins."""
+        """Put the agents and the things of the home at the places where they are at the beginning of an episode."""
         del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
@@ -125,9 +125,10 @@ class Household(Team):
         self._look()
 
     def _introduced(self) -> GivingWay:
-        """Return the mutual attention of the agents.
+        """Return the record by which the agents give way to each other.
 
-        In a pair, the robot may give way alone: by Habitat's rules, or because somebody outside drives the person.
+        In a pair, the robot may be the only one that gives way: Habitat's rules ask for this, and so does a person whom
+        somebody drives from outside.
         """
         episode, spec, oracle = self.episode, self.episode.spec, self.episode.spec.oracle
         is_pair = kinds_of(episode.roster) == ("robot", "human")
@@ -147,7 +148,10 @@ class Household(Team):
         )
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
-        """Return the actor of an agent: learned or oracle skills if the rules say so, and a person driven from outside."""
+        """Return the actor that carries out the skills of an agent.
+
+        The rules choose between learned and oracle skills. A person whom somebody drives from outside has an actor of its own.
+        """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
@@ -305,7 +309,7 @@ class Household(Team):
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def begin_step(self) -> None:
-        """Decide who steps aside."""
+        """Decide at the beginning of a step which agents step aside."""
         super().begin_step()
         # copies, with which `move` compares what the agents have made of them
         self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()

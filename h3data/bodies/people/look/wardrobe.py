@@ -165,6 +165,6 @@ class Wardrobe:
 
 @lru_cache(maxsize=1)
 def builtin_wardrobe() -> Wardrobe:
-    """The wardrobe that ships, read once."""
+    """Return the wardrobe of the built-in bodies, which is read once."""
     with np.load(builtin_path(f"bodies/{WARDROBE_FILE}"), allow_pickle=False) as file:
         return Wardrobe(data={key: file[key] for key in file.files})
