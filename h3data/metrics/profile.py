@@ -31,6 +31,10 @@ class Computed:
     protocol_deviations: str = ""
 
 
+def _no_series(_recording: Recording) -> Series:
+    return {}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     """Profile: a set of definitions of metrics for some tasks.
@@ -71,7 +75,7 @@ class Profile:
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """Function that computes the metrics of several recordings at once, instead of `compute`: on one episode, NumPy's
     calls take longer than the arithmetic."""
-    series: Callable[[Recording], Series] = lambda _recording: {}
+    series: Callable[[Recording], Series] = _no_series
     """Computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
 
