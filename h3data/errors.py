@@ -28,7 +28,7 @@ class H3DataError(Exception):
 
 
 class InputError(H3DataError):
-    """An argument or an input file is not what it should be."""
+    """Error of an argument or an input file that is not as expected."""
 
 
 class FormatError(InputError):

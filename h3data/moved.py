@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
     "sim_kinematic.controllers.controller": "sim_kinematic.controllers",
     "h3data.render.light.bake": "h3data_light.bake",

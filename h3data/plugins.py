@@ -310,7 +310,7 @@ class Registry(Generic[T]):
         )
 
     def missing(self) -> dict[str, str]:
-        """Packages of h3data that are not installed, by the name of the entry that each would add."""
+        """Return the packages of h3data that are not installed, by the name of the entry point that each of them would add."""
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()
@@ -386,7 +386,10 @@ class Registry(Generic[T]):
 
     def _untrusted(self, name: str) -> str:
         module = name.partition(":")[0]
-        command = shlex.join(["h3data", *sys.argv[1:], "--trust", module]) if _is_command() else ""
+        # also ``python -m h3data_pipelines.cli``, whose first argument is a file of the package
+        program = Path(sys.argv[0])
+        is_command = program.name in ("h3data", "h3data.exe") or "h3data_pipelines" in program.parts
+        command = shlex.join(["h3data", *sys.argv[1:], "--trust", module]) if is_command else ""
         return (
             f"A file names the {self.what} {name!r}, which is neither built in nor installed; using it would run the Python "
             f"module {module}. Hint: if you know and trust that module, "
@@ -401,12 +404,6 @@ class Registry(Generic[T]):
             f"The {self.what} {name!r} is claimed by {packages} (entry points of the group {self.group}). "
             "Hint: uninstall one of them, or name the one you mean as module:name."
         )
-
-
-def _is_command() -> bool:
-    """Returns whether this process is ``h3data`` on a command line."""
-    # also ``python -m h3data_pipelines.cli``, whose first argument is a file of the package
-    return Path(sys.argv[0]).name in ("h3data", "h3data.exe") or "h3data_pipelines" in Path(sys.argv[0]).parts
 
 
 def own_version() -> str:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-r"""C0 and C1 control characters except tab and newline, and the overrides of writing direction (CVE-2021-42574)."""
-
 
 def printable(text: str) -> str:
     """The text with control characters written out, such as ``\\x1b``, so that it cannot move a cursor or hide words."""
-    return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    # C0 and C1 control characters except tab and newline, and the overrides of writing direction
+    # (CVE-2021-42574)
+    control = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+    return control.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def counted(count: int, noun: str) -> str:
-    """``1 episode``, ``2 episodes``."""
+    """Return a number with its noun in the singular or the plural: ``1 episode``, ``2 episodes``."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 

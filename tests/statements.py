@@ -22,7 +22,7 @@ CORE = ("h3data", "sim_kinematic")
 LIMIT = 37_041
 """Seven tenths of the 52,916 statements that the two packages had before the first of the packages beside them."""
 
-NAMES_LIMIT = 48.0
+NAMES_LIMIT = 46.0
 """Names per 1,000 lines of the core, at most. The aim is 45; other projects of this kind have 15 to 31."""
 
 

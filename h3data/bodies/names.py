@@ -21,7 +21,6 @@ from h3data.plugins import Registry
 JOIN, STORED = "+", "motion:"
 ATTACHED = "motion_"
 """Beginning of the name of an attachment that is a walk: ``motion_<digits>.npz``."""
-DIGITS = 16
 
 _READERS: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
 _files: dict[str, bytes] = {}
@@ -70,7 +69,8 @@ def stored_name(model: str) -> str:
 
 def keep_walk(data: bytes) -> str:
     """Makes a walk known to this process, from the contents of its file; returns its name."""
-    name = STORED + hashlib.sha256(data).hexdigest()[:DIGITS]
+    digits = 16
+    name = STORED + hashlib.sha256(data).hexdigest()[:digits]
     # one copy, whichever of several recordings with this walk came first
     _files.setdefault(name, data)
     return name

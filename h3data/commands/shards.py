@@ -25,7 +25,7 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """Shards under way at a time."""
+        """Number of shards that are worked on at the same time."""
         ...
 
     @property

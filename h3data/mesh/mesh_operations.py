@@ -25,14 +25,12 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
         faces=np.concatenate([m.faces + np.int32(s) for m, s in zip(meshes, starts[:-1], strict=True)]),
         colors=np.concatenate([m.colors for m in meshes]),
         normals=np.concatenate(normals) if len(normals) == len(meshes) else None,
-        uv=np.concatenate([_uv(m) for m in meshes]) if textures else None,
+        uv=np.concatenate([np.zeros((len(m.vertices), 2), np.float32) if m.uv is None else m.uv for m in meshes])
+        if textures
+        else None,
         textures=textures,
         face_textures=np.concatenate([_face_textures(m, textures) for m in meshes]) if textures else None,
     )
-
-
-def _uv(mesh: Mesh) -> NDArray[np.float32]:
-    return np.zeros((len(mesh.vertices), 2), np.float32) if mesh.uv is None else mesh.uv
 
 
 def _face_textures(mesh: Mesh, textures: Sequence[Texture]) -> NDArray[np.int16]:

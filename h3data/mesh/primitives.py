@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import SceneError
 from h3data.geometry import Array, normalized
-from h3data.mesh.loading import DEFAULT_COLOR
+from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.mesh import Mesh
 
 _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wireframe)(_|$)")

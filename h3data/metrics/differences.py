@@ -18,9 +18,6 @@ from h3data.stats import PAdjustment, PairedComparison, adjust_p_values, compare
 from h3data.stats.paired_tests import some_of
 from h3data.terminal import aligned
 
-_SHOWN = 3
-"""Changed episodes that the text names per metric."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Differences:
@@ -89,11 +86,13 @@ class Differences:
 
     def _change_lines(self) -> list[str]:
         lines = []
+        # changed episodes that the text names per metric
+        most = 3
         for name in self.tests:
             changed = self.changed(name)
             if changed:
-                each = [f"{e} {_number(a)} / {_number(b)}" for e, a, b in changed[:_SHOWN]]
-                lines.append(f"  {name}: {', '.join(each)}{', ...' if len(changed) > _SHOWN else ''}")
+                each = [f"{e} {_number(a)} / {_number(b)}" for e, a, b in changed[:most]]
+                lines.append(f"  {name}: {', '.join(each)}{', ...' if len(changed) > most else ''}")
         if not lines:
             return ["No episode differs."]
         return [f"Episodes that differ ({self.names[0]} / {self.names[1]})", *lines]

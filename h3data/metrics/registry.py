@@ -69,7 +69,7 @@ def all_profiles() -> tuple[Profile, ...]:
 
 
 def find_profile(name: str, task: str | None = None) -> Profile:
-    """Returns the profile of this name for recordings of a task; None: the first one of the name.
+    """Returns the profile with a name that measures recordings of a task; without a task, the first one with the name.
 
     Raises:
         InputError: nothing has this name, or it does not measure the task; the message lists the profiles that do.

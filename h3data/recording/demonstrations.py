@@ -40,7 +40,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
-    """An agent of the first episode."""
+    """Agent of a dataset of demonstrations, as its first episode has it."""
 
     name: str
     kind: str

@@ -21,7 +21,10 @@ from h3data.recording.schema import Layout
 
 
 class Steps(ABC):
-    """The steps of one stored episode. Close it, or use it as a context manager. Not safe for concurrent threads."""
+    """Reader of the steps of one stored episode.
+
+    Close it after use, or use it as a context manager. Threads must not share one.
+    """
 
     layout: Layout
     """Description of the columns."""

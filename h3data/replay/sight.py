@@ -10,10 +10,6 @@ from h3data.render import Renderer, look_at, pinhole
 from h3data.replay.records import BodyTrack, JointTrack
 from h3data.replay.replay import Replay
 
-CARRIED_M = 0.6
-"""Size below which moving objects do not obstruct a view, as they are carried or soon gone [m]."""
-CLEARANCE_M = 0.1
-"""Half the width of a free line, and the distance at which it ends in front of an obstacle."""
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
 """Number, size and width of the overlapping images of a panorama, which cover all lines up to 45 degrees off the horizon."""
 AHEAD_PX, AHEAD_DEG = 48, 80.0
@@ -28,12 +24,14 @@ class Sight:
         self._renderer = Renderer(scene)
         hidden = np.ones(len(scene.instances), np.bool_)  # instances beyond the drawables are light meshes of people
         moving = []
+        # size below which moving objects do not obstruct a view, as they are carried or soon gone [m]
+        carried_m = 0.6
         for index, (drawable, track) in enumerate(zip(replay.drawables, replay.tracks, strict=True)):
             if drawable.agent >= 0 or drawable.deformable:
                 continue
             if isinstance(track, BodyTrack):
                 size = np.ptp(np.asarray(drawable.mesh.bounds), axis=0) * np.abs(track.scale)
-                if size.max() < CARRIED_M:
+                if size.max() < carried_m:
                     continue
                 moving.append(index)
             if isinstance(track, JointTrack):
@@ -119,10 +117,12 @@ class Beam:
         """Pixels on the axis or next to it."""
 
     def free(self, depth: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
-        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within `CLEARANCE_M` of the axis obstruct."""
-        blocks = self._on_axis | (depth * self._across < CLEARANCE_M)
+        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within 0.1 m of the axis obstruct."""
+        # half the width of a free line, and the distance at which it ends in front of an obstacle
+        clearance_m = 0.1
+        blocks = self._on_axis | (depth * self._across < clearance_m)
         first = np.where(blocks, depth * self._along, np.inf).min(1)
-        return np.clip(first - CLEARANCE_M, 0.0, max_m)
+        return np.clip(first - clearance_m, 0.0, max_m)
 
 
 def _with_inf(depth: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -109,7 +109,11 @@ def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def joints_of(scene: Scene) -> SceneJoints:
     """The joints of a scene, collected once."""
-    return _collected(scene) if scene.articulations else _NONE
+    if scene.articulations:
+        return _collected(scene)
+    return SceneJoints(
+        names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
+    )
 
 
 @lru_cache(maxsize=64)
@@ -129,11 +133,6 @@ def _collected(scene: Scene) -> SceneJoints:
         owner={name: k for k, (_, part) in enumerate(parts) for name in part.instances},
         enclosing=enclosing,
     )
-
-
-_NONE = SceneJoints(
-    names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
-)
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
@@ -186,7 +185,10 @@ def opened(scene: Scene) -> Scene:
 
 
 def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[Articulation, ...]:
-    """The articulated things with these positions as their rest: axes and handles are carried along by their parents."""
+    """Return the articulated things as they are at some joint positions, which become their positions at rest.
+
+    Each part moves the axes and handles of the parts that hang on it.
+    """
     things, k = [], 0
     for thing in scene.articulations:
         frame = pose_to_matrix(np.asarray(thing.pose, np.float64))

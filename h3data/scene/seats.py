@@ -25,12 +25,6 @@ SEAT_SIDES = {
     "stool": "front",
 }
 """Categories of furniture with seats, and where people sit down on them."""
-HEIGHTS_M = (0.2, 0.7)
-"""Range of the heights of seats above the furniture's own floor."""
-LEAST_M = 0.2
-"""Least width and depth of a seat."""
-ABOVE_M = 0.05
-"""Shapes that rise above a seat by more than this stand in the way of the back."""
 
 
 class Seat(NamedTuple):
@@ -86,7 +80,11 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, t
     boxes = np.array([box for shape in asset.shapes if (box := _box(shape, scale)) is not None]).reshape(-1, 2, 3)
     size = boxes[:, 1] - boxes[:, 0]
     top = boxes[:, 1, 1]
-    seat = (top > HEIGHTS_M[0]) & (top < HEIGHTS_M[1]) & (size[:, [0, 2]].min(1, initial=np.inf) >= LEAST_M)
+    # range of the heights of seats above the furniture's own floor
+    heights_m = (0.2, 0.7)
+    # least width and depth of a seat
+    least_m = 0.2
+    seat = (top > heights_m[0]) & (top < heights_m[1]) & (size[:, [0, 2]].min(1, initial=np.inf) >= least_m)
     if not seat.any():
         return
     # the largest, because armrests and legs may have tops at the height of a seat too
@@ -102,8 +100,10 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, t
             yield np.array([x1, y, along]), np.pi / 2, x1 - x0, (along - z0, along - z1)
             yield np.array([x0, y, along]), -np.pi / 2, x1 - x0, (z0 - along, z1 - along)
         return
+    # shapes that rise above a seat by more than this stand in the way of the back
+    above_m = 0.05
     # backrests: what rises above the rear half of the seat
-    above = (top > y + ABOVE_M) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
+    above = (top > y + above_m) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
     # without a backrest, one sits as deep as the seat is
     back = float(boxes[above, 1, 2].max(initial=z0))
     count = max(int((x1 - x0) / bed_step_m), 1)

@@ -174,12 +174,12 @@ def _installed(path: tuple[str, ...]) -> dict[str, SceneGenerator | SceneReader]
 
 
 def scene_generators() -> dict[str, SceneGenerator]:
-    """The installed generators by kind."""
+    """Return the installed generators of scenes by the kind of scene that they make."""
     return {kind: entry for kind, entry in _installed(tuple(sys.path)).items() if isinstance(entry, SceneGenerator)}
 
 
 def scene_readers() -> list[SceneReader]:
-    """The installed readers."""
+    """Return the installed readers of scene files."""
     return [entry for entry in _installed(tuple(sys.path)).values() if isinstance(entry, SceneReader)]
 
 

@@ -120,7 +120,8 @@ class ChoreRoutine(Routine):
     def _chore(self, stop: Stop, xz: NDArray[np.float64], taken: Sequence[Array]) -> Chore:
         if stop.seconds < CHORES[stop.activity] + SETTLES_S:
             raise InputError(
-                f"Expected at least {CHORES[stop.activity] + SETTLES_S:g} s for {stop.activity!r}, got {stop.seconds:g}."
+                f"Expected at least {CHORES[stop.activity] + SETTLES_S:g} s for {stop.activity!r}, got {stop.seconds:g}.",
+                code="H3-TASK-088",
             )
         carried = [self.stops[k % len(self.stops)].activity for k in range(self._next - len(self.stops), self._next)]
         held = next((name for name in reversed(carried) if name in ("take", "lift")), "take")
@@ -165,7 +166,8 @@ def chore_at(
     if not found:
         raise InputError(
             f"{body.name} cannot {stop.activity} at {stop.place}: no place beside it has room and is near enough for the hands. "
-            "Hint: choose another thing, or a home whose furniture opens."
+            "Hint: choose another thing, or a home whose furniture opens.",
+            code="H3-TASK-086",
         )
     # people arrive within some centimetres: the place with most others around it from which the hands reach too
     roots = np.array([chore.root for chore in found])
@@ -385,7 +387,8 @@ def act_out(recording: Recording) -> Recording:
         return recording
     if replay.scene is None:
         raise InputError(
-            "Expected a recording with its home, in which people do chores. Hint: recordings of h3data generate have it."
+            "Expected a recording with its home, in which people do chores. Hint: recordings of h3data generate have it.",
+            code="H3-TASK-087",
         )
     joints = joints_of(replay.scene)
     open_by = (
@@ -518,7 +521,9 @@ class _Acting:
             return
         base, up = self.base[rows], _ramp(t, 1.2, 2.6)[:, None]
         spot = _seen(base, np.broadcast_to(chore.spot, (len(t), 3)))
-        self._both(rows, spot + up * (self.tray_at - spot), spot, _ramp(t, 0.0, 1.0) - _ramp(t, 1.9, 2.9), chore.farther_m)
+        self._both(
+            rows, spot + up * (self.tray_at - spot), spot, _ramp(t, 0.0, 1.0) - _ramp(t, 1.9, 2.9), chore.farther_m
+        )
         self.shares[rows] = _ramp(t, 0.0, 1.0)[:, None]
         self._new("tray", "tray", TRAY_M, chore.spot, root)
         self._hold("tray", len(self.things) - 1, 2, rows, t, 1.1, event)

@@ -32,8 +32,6 @@ HANDS: tuple[Hand, ...] = ("left", "right")
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
 """A hand that carries something is held out where this much room is around its palm, and close to the body where only this
 much is: hand and object reach 8 to 10 cm beyond the palm."""
-ONWARD = np.array([0.25, 0.5, 0.75])
-"""Distances [m] straight ahead that are looked ahead."""
 
 
 @kernel(error_model="numpy")
@@ -177,6 +175,8 @@ def held_close(
     """
     # turns of the body [rad] that are looked ahead
     fan = np.linspace(-1.0, 1.0, 9) * 1.2
+    # distances [m] straight ahead that are looked ahead
+    onward = np.array([0.25, 0.5, 0.75])
     return _held_close(
         free.sdf,
         free.origin,
@@ -191,13 +191,13 @@ def held_close(
         CARRY_FREE_M,
         CARRY_TIGHT_M,
         fan,
-        ONWARD,
+        onward,
     )
 
 
 @lru_cache(maxsize=64)
 def width_m(body: Humanoid) -> float:
-    """Return the distance [m] by which the capsules of a standing person with both arms folded extend to one side."""
+    """Return half the width [m] of a person who stands with both arms folded, measured by the capsules of the body."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
     # z of the agent root frame is the person's side

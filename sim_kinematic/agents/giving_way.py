@@ -128,7 +128,7 @@ class GivingWay:
             self.right_of_way.update(carrying)
 
     def begin_turn(self, me: AnyActor) -> None:
-        """Shows an agent the others before it moves: where they are and how they move."""
+        """Show an agent where the others are and how they move, before it makes its own step."""
         seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
         if len(seen) > 1:
             # stable: agents at the same distance keep the order of their numbers on every machine

@@ -659,7 +659,7 @@ def _blended(a: Array, b: Array, share: float) -> Array:
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:
-    """Play a skill to its end: a frame after each step, and how it ended."""
+    """Play a skill to its end and return the frames after each of its steps, and the result of the skill."""
     frames = []
     while True:
         try:

@@ -23,8 +23,6 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
-EVERY = 4
-"""Spacing of the frames of the hand's path that are checked; the last one always is."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
@@ -90,6 +88,8 @@ class BodyClearance:
         local = pose_multiply(pose_inverse(base), np.append(point, [0, 0, 0, 1.0]))[:3]
         # rounded: seen from stands of one ring the point differs by rounding alone
         seen = hand, tuple(np.round(local, 4).tolist())
+        # spacing of the frames of the hand's path that are checked; the last one always is
+        every = 4
         if seen not in self._ways:
             # 1000: paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for
             # each height of its surfaces and each distance of a stand. With 200, half of the time of
@@ -99,7 +99,7 @@ class BodyClearance:
             quats, pelvis = [], []
             for full in (False, True):
                 way = self._person.hand_path(np.array(seen[1]), hand, full=full)
-                rows = np.unique(np.append(np.arange(0, len(way.quats), EVERY), len(way.quats) - 1))
+                rows = np.unique(np.append(np.arange(0, len(way.quats), every), len(way.quats) - 1))
                 quats.append(way.quats[rows])
                 pelvis.append(way.pelvis[rows])
             joints = self._body.joint_matrices(IDENTITY_POSE[None], np.concatenate(quats), np.concatenate(pelvis))

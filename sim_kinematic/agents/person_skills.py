@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.people.reach import Hand, reacher
+from h3data.bodies.people.reach import HANDS, Hand, reacher
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.company import Company
@@ -37,8 +37,6 @@ SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
-HANDS: tuple[Hand, ...] = ("right", "left")
-"""Hands in the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):
@@ -191,7 +189,7 @@ class PersonActor:
         return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
-        """Stands still for one step."""
+        """Stand still for one step."""
         self._stand()
 
     def _wait(self, steps: int) -> Skill:

@@ -24,10 +24,6 @@ from sim_kinematic.motion.spec import BaseSpec
 Kind = Literal["robot", "human"]
 ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
 """Default bodies for 'robot' and 'human'."""
-ATTEMPTS = 100
-"""Places sampled for one agent before the distance to the others is halved, down to `NEAREST_M`."""
-NEAREST_M = 1.0
-"""Least distance between two agents at the start [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,6 +156,10 @@ def sample_places(
     """
     places = {k: np.asarray(place, np.float64) for k, place in (taken or {}).items()}
     fits = {id(a.body): robot_fits(a.body, rules, scene, free) for a in roster if isinstance(a.body, Robot)}
+    # least distance between two agents at the start [m]
+    nearest_m = 1.0
+    # places sampled for one agent before the distance to the others is halved, down to 1 m
+    most_attempts = 100
     for k, agent in enumerate(roster):
         if k in places:
             continue
@@ -175,9 +175,9 @@ def sample_places(
                 places[k] = np.append(xz, heading)
                 break
             attempts += 1
-            if attempts == ATTEMPTS:
+            if attempts == most_attempts:
                 distance, attempts = distance / 2, 0
-                if distance < NEAREST_M:
+                if distance < nearest_m:
                     raise SceneError(
                         f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.",
                         code="H3-SIM-021",

@@ -20,9 +20,6 @@ from h3data.kernels import kernel
 from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.agent_contact import NEAR_M, any_near
 
-MARGIN_M = 2 * NEAR_M
-"""Distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses rounded to float32."""
-
 
 class RobotCapsules:
     """The capsules of a robot's links."""
@@ -56,8 +53,11 @@ class PersonCapsules:
 
 
 def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
-    """Returns whether `AgentContacts` must be asked: two capsules are within `MARGIN_M`."""
-    return bool(any_near(a.ends, a.radii, b.ends, b.radii, MARGIN_M))
+    """Returns whether `AgentContacts` must be asked: two capsules are within twice `NEAR_M`."""
+    # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
+    # rounded to float32
+    margin_m = 2 * NEAR_M
+    return bool(any_near(a.ends, a.radii, b.ends, b.radii, margin_m))
 
 
 @lru_cache(maxsize=32)

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from sim_kinematic.sensing.watching import DebugRenderer
 
-__all__ = ["DEFAULTS", "Info", "Options", "Stepper", "checked_actions", "gymnasium"]
-
 Info = dict[str, NDArray[Any]]
 
 

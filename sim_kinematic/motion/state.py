@@ -38,7 +38,7 @@ class _Arrays:
         return list(vars(self).values())
 
     def take(self, worlds: Worlds) -> Self:
-        """Some of the worlds."""
+        """Return the state of some of the worlds."""
         return type(self)(**{name: array[worlds] for name, array in vars(self).items()})
 
     def put(self, worlds: Worlds, other: Self) -> None:
@@ -47,7 +47,7 @@ class _Arrays:
             mine[worlds] = theirs
 
     def copy(self) -> Self:
-        """Copy with arrays of its own."""
+        """Return a copy with arrays of its own."""
         other = object.__new__(type(self))  # a step copies several: checks of arguments would take most of the time
         vars(other).update({name: array.copy() for name, array in vars(self).items()})
         return other
@@ -100,7 +100,7 @@ class HumanState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
-        """Standing at the origin."""
+        """Return the state of people who stand at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)),
             arms=np.zeros((worlds, 2)),
@@ -186,7 +186,7 @@ class WorldState(_Arrays):
         return [array for agent in self.agents for array in agent.arrays()] + own
 
     def copy(self) -> WorldState:
-        """Copy with arrays of its own."""
+        """Return a copy with arrays of its own."""
         # by numbers, which copy: a slice would give views
         return self.take(np.arange(self.worlds))
 

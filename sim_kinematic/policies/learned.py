@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
+from h3data.geometry import Array
 from h3data.render.light.sources import LightMode
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
@@ -46,7 +47,6 @@ SHIPPED: Mapping[str, str] = {**SHIPPED_NAVIGATORS, **SHIPPED_HELPERS, **SHIPPED
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 """Name of a file of weights with the beginning of the digest of its contents."""
 
-Floats = NDArray[np.floating]
 AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 Fitting = TypeVar("Fitting", bound=AnyNetwork)
 
@@ -183,23 +183,23 @@ class NavigationContext:
         """State of the person one step ago; at the start, their present state."""
         return self.other if self._view.human_before is None else Pose(self._view.human_before, None)
 
-    def floor_y(self) -> Floats:
+    def floor_y(self) -> Array:
         """Return the height of the floor where the robot is, [] [m]."""
         return np.asarray(self._view.free.height_at(self._view.robot_xz))
 
-    def path(self) -> tuple[Floats, Floats]:
+    def path(self) -> tuple[Array, Array]:
         """Return the shortest path to the person: its length [] [m] and its first way point [2] [m]."""
         # a way point underfoot would give a direction that changes with every step
         view, beyond_m = self._view, self._spec.disc_radius_m / 2
         point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)
         return np.asarray(view.geodesic_m), point
 
-    def clearance(self, points: Floats) -> Floats:
+    def clearance(self, points: Array) -> Array:
         """Return signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
         return self._view.free.signed_distance(points)
 
 
-def read_sensors(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Floats]:
+def read_sensors(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Array]:
     """Return the named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
     moment = NavigationContext(view, spec)
     return {name: np.asarray(TABLE[name].of(moment), np.float64) for name in names}

@@ -33,10 +33,6 @@ ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
-TRIES = 3
-"""Number of failures at an object after which a planner goes on to the next."""
-IN_REACH_M = 0.9
-"""Distance to an object below which an agent may be about to take it [m]."""
 
 
 class HighLevelPolicy(Protocol):
@@ -95,6 +91,8 @@ class Plan(NamedTuple):
         places = xp.cumsum(xp.ones_like(order), -1) - 1
         count, chosen = (order >= 0).sum(-1), xp.full_like(passed, -1)
         mine_all, free_all = held_by == agent, ~at_goal & ((held_by == agent) | (held_by == NOBODY))
+        # number of failures at an object after which a planner goes on to the next
+        most_tries = 3
         # each round passes one object at most; later rounds change nothing where one has been chosen
         for _ in range(order.shape[-1]):
             asked = asked & (passed < count)
@@ -102,7 +100,7 @@ class Plan(NamedTuple):
             tries = tries + (asked & failed)
             # numbers of places are numbers of objects too: a plan is as long as there are objects
             here = places == k[:, None]
-            goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < TRIES)))
+            goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < most_tries)))
             chosen, asked = xp.where(goes, k, chosen), asked & ~goes
             passed, tries = passed + asked, xp.where(asked, 0, tries)
         return chosen, Plan(order, passed, tries)
@@ -215,9 +213,11 @@ def persons_object(view: RearrangeView) -> int:
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:
         return -1
+    # distance to an object below which an agent may be about to take it [m]
+    in_reach_m = 0.9
     if moved < 0.1:  # they stand: perhaps about to take what is before them
         gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
-        return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
+        return left[int(np.argmin(gaps))] if min(gaps) < in_reach_m else -1
     # who walks straight along the path to an object has shortened it by as much as they moved
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
     best = int(np.argmax(gain))

@@ -33,7 +33,6 @@ from sim_kinematic.sensing.table import (
 __all__ = ["HABITAT_SENSES", "PAPER_SENSES", "SENSES", "STATE_SENSES", "RearrangeContext", "exact", "limits", "observe"]
 SNAP_M = 2.0
 """Largest distance of an object or a goal from the floor to which its end of a path is moved [m]."""
-Floats = NDArray[np.floating]
 
 
 class RearrangeContext:
@@ -64,27 +63,27 @@ class RearrangeContext:
         return not np.isfinite(self._views[0].other_xz).all()
 
     @cached_property
-    def _hand(self) -> Floats:
+    def _hand(self) -> Array:
         """Poses (pose7) of the hands in the world, computed at the first use, as few observations need them, [W, 7]."""
         return np.array([view.hand() for view in self._views])
 
-    def floor_y(self) -> Floats:
+    def floor_y(self) -> Array:
         """Return the height of the floor where the agent is, [W] [m]."""
         return np.array([view.free.height_at(view.xz) for view in self._views])
 
-    def in_hand(self, points: Floats) -> Floats:
+    def in_hand(self, points: Array) -> Array:
         """Return world points [W, n, 3] in the frames of the hands."""
         return in_frame(self._hand, points)
 
-    def from_start(self, points: Floats) -> Floats:
+    def from_start(self, points: Array) -> Array:
         """Return world points [W, n, 3] in the agent root frames of the starts."""
         return in_frame(np.array([v.free.root_pose(v.start[:2], v.start[2]) for v in self._views]), points)
 
-    def other_root(self) -> Floats:
+    def other_root(self) -> Array:
         """Return the roots of the other agents in the world [W, 3] [m]."""
         return np.array([view.free.root_pose(view.other_xz, 0.0)[:3] for view in self._views])
 
-    def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Floats:
+    def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Array:
         """Return lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
         With ``then`` from the first position of the other's known track. Objects and goals lie on furniture, so the ends of the
@@ -99,7 +98,7 @@ class RearrangeContext:
         # no path is infinite, and a network takes finite numbers
         return np.minimum(np.array(found), FAR_M)
 
-    def ahead(self, *, other: bool) -> Floats:
+    def ahead(self, *, other: bool) -> Array:
         """Return points that an agent would reach after `AHEAD_M` on its path to each object, [W, K, n, 2] [m].
 
         For an object in its hand, the path leads to the object's goal. Paths to objects in another agent's hand are straight
@@ -118,7 +117,7 @@ class RearrangeContext:
                     found.append(xz + gap * np.minimum(np.array(AHEAD_M) / max(np.hypot(*gap), 1e-9), 1.0)[:, None])
         return np.array(found).reshape((*self.held_by.shape, len(AHEAD_M), 2))
 
-    def ended(self, outcome: Ending) -> Floats:
+    def ended(self, outcome: Ending) -> Array:
         """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [W, C]."""
         # only robots have joints of an arm to observe
         robot, objects = self.arm.shape[1] > 0, self.objects.shape[1]

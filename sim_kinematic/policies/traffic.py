@@ -28,16 +28,15 @@ from sim_kinematic.motion.state import HumanState, WorldState
 from sim_kinematic.policies.policy import GaitAction, Velocity
 from sim_kinematic.world import World
 
-ARRIVED_M = 0.3
-"""A robot that wanders has reached its goal within this distance."""
-
 
 class RobotTrafficAgent(RobotActor):
     """Robot that drives from goal to goal."""
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
         """Drive to a floor point [2]."""
-        return self.drive_to(goal, within_m=ARRIVED_M)
+        # A robot that wanders has reached its goal within this distance
+        arrived_m = 0.3
+        return self.drive_to(goal, within_m=arrived_m)
 
     def follow(self, state: WorldState) -> None:
         """Do nothing: the actor's arrays are views of the copied state, which has the robot's pose already."""

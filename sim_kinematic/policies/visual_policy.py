@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.render.light.sources import LightMode
 from sim_kinematic.sensing.encodings import DETECTOR, OF_COMMANDS
@@ -36,7 +37,6 @@ PICTURES = {"arm_depth": 1, "arm_rgb": 3}
 """Number of planes of each picture that a network may observe. It observes one of them at most."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
-Floats = NDArray[np.floating]
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 """Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 
@@ -77,7 +77,7 @@ class CardedNetwork:
     """Recurrent network of a policy file: its weights, and the card that describes them."""
 
     card: PolicyCard
-    arrays: Mapping[str, Floats]
+    arrays: Mapping[str, Array]
     """Weights and biases by name, as in the file."""
 
     @property
@@ -95,7 +95,7 @@ class CardedNetwork:
         """Return which of `PICTURES` the policy observes."""
         return picture_in(self.card.observations)
 
-    def start(self) -> Floats:
+    def start(self) -> Array:
         """Return the recurrent state at the start of an episode, [H]."""
         return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
 
@@ -108,19 +108,19 @@ class CardedNetwork:
         return found.hexdigest()
 
     @cached_property
-    def _columns(self) -> dict[str, Floats]:
-        """The weights by name, [in, out]."""
+    def _columns(self) -> dict[str, Array]:
+        """Weights of the layers by name, transposed to [in, out]."""
         # [in, out] in memory too: the inner loop of `affine` runs along the outputs
         rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
         return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
 
-    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
+    def _layer(self, name: str, x: Array, kind: str = "") -> Array:
         """Return outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
         rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
         out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
         return out if x.ndim == 2 else out[0]
 
-    def _remember(self, x: Floats, state: Floats) -> Floats:
+    def _remember(self, x: Array, state: Array) -> Array:
         """Return the recurrent state [H] after an input [in], by the formulas of `torch.nn.GRU` (Cho et al. 2014)."""
         given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
         # torch stacks reset, update and new gate in this order
@@ -148,7 +148,7 @@ class VisualPolicy(CardedNetwork):
 
     @property
     def outputs(self) -> int:
-        """Numbers of an action."""
+        """Number of values in an action of the policy."""
         return self.card.actions
 
     @property
@@ -178,7 +178,7 @@ class VisualPolicy(CardedNetwork):
             about = (*about, card.light)
         return self._digest(about)
 
-    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
+    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Array, state: Array) -> tuple[Array, Array]:
         """Evaluate the policy for one step.
 
         Args:
@@ -209,7 +209,7 @@ class VisualPolicy(CardedNetwork):
         return "" if fits else f"multiples of {PATCH} up to 1024"
 
     @classmethod
-    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
         """Return shapes of all arrays by name, with the widths that the given ones have."""
         shapes, features = picture_shapes(card, arrays)
         numbers = number_count(card.observations, card.actions)
@@ -225,7 +225,7 @@ class VisualPolicy(CardedNetwork):
             "act_1.bias": (card.actions,),
         }
 
-    def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
+    def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Array) -> Array:
         """Return the encoded observations other than the picture, and the last action, one after the other, float32."""
         parts = []
         for name in self.observations:
@@ -256,7 +256,7 @@ def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[A
     return shown[name]
 
 
-def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Floats]) -> Floats:
+def picture_features(picture: NDArray[Any], layer: Callable[[str, Array], Array]) -> Array:
     """Return features [F] of a picture [H, W, planes], by the named linear layers of a network."""
     height, width, planes = picture.shape
     # the root gives near surfaces more of the range of depths; float16, as the device stores pictures of whole rollouts
@@ -271,7 +271,7 @@ def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Float
     return np.maximum(layer("picture", x.ravel()), 0)
 
 
-def picture_shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> tuple[dict[str, tuple[int, ...]], int]:
+def picture_shapes(card: PolicyCard, arrays: Mapping[str, Array]) -> tuple[dict[str, tuple[int, ...]], int]:
     """Return shapes by name of the arrays that turn the picture of a card into features, and the number of features."""
     picture = picture_in(card.observations)
     if picture is None:
@@ -290,7 +290,7 @@ def picture_shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> tuple[dict
     }, features
 
 
-def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
+def _windows(x: Array, stride: int) -> tuple[Array, tuple[int, int]]:
     """Return windows of a 3 x 3 convolution over [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
@@ -300,7 +300,7 @@ def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
 
 
 @kernel()
-def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
+def affine(x: Array, columns: Array, bias: Array) -> Array:
     """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
     out = np.empty((len(x), len(bias)), np.float32)
     for row in range(len(x)):
@@ -340,7 +340,7 @@ def picture_length(size: tuple[int, int]) -> int:
     return width * height
 
 
-def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Array]) -> list[str]:
     """Return everything in a card and arrays that does not fit together, in words."""
     # one after the other: the shapes that arrays are compared with follow from a sound card
     if card.network != kind.kind:
@@ -364,7 +364,7 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Flo
     return array_faults(arrays, kind.shapes(card, arrays))
 
 
-def array_faults(arrays: Mapping[str, Floats], shapes: Mapping[str, tuple[int, ...]]) -> list[str]:
+def array_faults(arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[str]:
     """Return in words which arrays are missing, unknown, not finite or of another type or shape than expected by name."""
     faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
     faults += [f"unknown array {name}" for name in arrays if name not in shapes]
@@ -378,7 +378,7 @@ def array_faults(arrays: Mapping[str, Floats], shapes: Mapping[str, tuple[int, .
     return faults
 
 
-def rows_in(arrays: Mapping[str, Floats], name: str) -> int:
+def rows_in(arrays: Mapping[str, Array], name: str) -> int:
     """Return the number of rows of an array; 0 if there is none, so that a damaged file gets a message about shapes."""
     return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 

@@ -14,9 +14,6 @@ from sim_kinematic.policies.policy import GaitAction, PoseAction, Velocity, Wayp
 from sim_kinematic.policies.traffic import RobotTrafficAgent, WalkingAgent
 from sim_kinematic.policies.views import AgentView
 
-ATTEMPTS = 3
-"""Largest number of goals that are tried in one step, as some of them may have been reached already."""
-
 
 class WaypointPolicy(WaypointHuman):
     """Scripted person of social navigation, who walks shortest paths to random points (paper section 4.1) and avoids nobody."""
@@ -44,8 +41,10 @@ class WanderPolicy:
         """Return a step for a person, a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
+        # largest number of goals that are tried in one step, as some of them may have been reached already
+        attempts = 3
         # a goal that has been reached already takes no step, so the next one is tried at once
-        if not any(self._goes_on(actor) for _ in range(ATTEMPTS)):
+        if not any(self._goes_on(actor) for _ in range(attempts)):
             actor.idle()
         traffic.end_turn(view.agent)
         return actor.choice()

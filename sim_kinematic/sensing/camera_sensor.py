@@ -43,7 +43,6 @@ ROBOT_ID = 200
 """Semantic id of robots in our recordings."""
 HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
 """Size and field of view of the camera between a person's eyes."""
-CAPSULE_SIDES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,10 +354,11 @@ def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
     # trimesh's capsules stand along z
     y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     meshes = []
+    sides = 12
     for shape in shapes:
         assert isinstance(shape, Capsule)
         length = float(np.linalg.norm(np.subtract(shape.end, shape.start)))
-        made: Any = trimesh.creation.capsule(length, shape.radius, count=[CAPSULE_SIDES, CAPSULE_SIDES])
+        made: Any = trimesh.creation.capsule(length, shape.radius, count=[sides, sides])
         made.apply_translation(-made.bounds.mean(0))
         made.apply_transform(y_to_z)
         vertices = np.asarray(made.vertices, np.float32)

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import quat_conjugate, quat_rotate, wrap_angle
+from h3data.geometry import Array, quat_conjugate, quat_rotate, wrap_angle
 from h3data.kernels import kernel
 from sim_kinematic.motion.spec import STEP_S
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
-Floats = NDArray[np.floating]
 
 HUMAN_ID = 100
 """Semantic id of people, in Habitat and in our recordings."""
@@ -78,7 +77,7 @@ def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -
     return stacked(xp, gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x)
 
 
-def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Floats, Floats]:
+def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Array, Array]:
     """Vectors [..., 2] from places to others, and headings [...] of the same shape, or one for all of them."""
     gap, heading = np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64), np.asarray(heading, np.float64)
     if (heading.size > 1 or heading.ndim >= gap.ndim) and gap.shape[:-1] != heading.shape:
@@ -152,7 +151,7 @@ def _turned(xp: Any, before: Any, now: Any) -> Any:
     return _wrapped(xp, now - before)
 
 
-def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
+def in_frame(pose: ArrayLike, points: ArrayLike) -> Array:
     """Return world points [..., K, 3] in the frame of a pose7 [..., 7], shape [..., K, 3] [m].
 
     With the robot's start pose: object and goal positions in its start frame (paper appendix); with the hand's pose:
@@ -189,7 +188,7 @@ def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) ->
     return stacked(xp, length_m.clip(None, FAR_M), xp.where(xp.isfinite(length_m), angle, 0.0))
 
 
-def first_point(free: FreeSpace, xz: Floats, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Floats:
+def first_point(free: FreeSpace, xz: Array, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Array:
     """Return the first way point from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
 
     It is ``xz`` where there is no path, whose length ``length_m`` is infinite.
@@ -199,7 +198,7 @@ def first_point(free: FreeSpace, xz: Floats, goal_xz: ArrayLike, length_m: float
 
 def path_points(
     free: FreeSpace, xz: ArrayLike, goal_xz: ArrayLike, lengths_m: Sequence[float], *, max_snap_m: float
-) -> Floats:
+) -> Array:
     """Return the points at some lengths [n] of the shortest path from ``xz`` [2] to ``goal_xz`` [2], [n, 2] [m].
 
     On a shorter path it is the end, and where there is no path they are on the straight line.
@@ -249,12 +248,12 @@ def egomotion(
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
 
-def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
+def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Array:
     """Return positions of the arm's joints [..., n] of all [..., J]; `h3data.bodies.Robot.arm_columns` names them."""
     return np.asarray(joints, np.float64)[..., list(columns)]
 
 
-def is_holding(held_by: ArrayLike, agent: int = 0) -> Floats:
+def is_holding(held_by: ArrayLike, agent: int = 0) -> Array:
     """Return 1 where the agent holds something, else 0, shape [...] of holders [..., O]."""
     return (np.asarray(held_by) == agent).any(axis=-1).astype(np.float64)
 
@@ -328,7 +327,7 @@ NoiseModel = Callable[..., ArrayLike]
 ``partial(with_noise, sigma=0.05)``."""
 
 
-def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Floats:
+def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Array:
     """Return values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
     exact = np.asarray(values, np.float64)
     return exact + np.asarray(sigma, np.float64) * rng.standard_normal(exact.shape)

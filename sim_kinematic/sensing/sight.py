@@ -34,8 +34,6 @@ LOOK_STEPS = 6
 """Steps from one look to the next."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
-ABOVE_M = 0.08
-"""Height above the surface of a place at which agents look at it [m]."""
 
 
 class Places(NamedTuple):
@@ -87,7 +85,9 @@ class Sight:
         surfaces = list(scene.receptacles())
         self.names = surface_names(scene)
         points = [(instance_matrix(i) @ np.append(r.center, 1.0))[:3] for i, r in surfaces]
-        self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, ABOVE_M, 0.0])
+        # height above the surface of a place at which agents look at it [m]
+        above_m = 0.08
+        self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, above_m, 0.0])
         self._joints = [joints.enclosing.get(name, ()) for name in self.names]
         self._eyes = np.array([floor_y + eye_height(body) for body in bodies])
         self.known = np.zeros((len(bodies), things), np.bool_)

@@ -17,8 +17,6 @@ SIZE, HFOV_DEG = (640, 480), 60.0
 DISTANCE_M, ELEVATION_DEG = 4.2, 50.0
 SIDES = 12
 """Number of directions from which the camera may look."""
-OTHERS = 0.5
-"""Weight of another agent in the picture relative to the agent itself."""
 
 
 class DebugRenderer:
@@ -44,7 +42,9 @@ class DebugRenderer:
         others = sum((np.minimum(p / most, 1.0) for k, p in enumerate(pixels) if k != agent), np.zeros(SIDES))
         # 3.2: surfaces nearer to the camera than this are in front of the agent, which is 4.2 m away [m]
         is_open = 1 - ((depth > 0) & (depth < 3.2)).mean(1)
-        score = pixels[agent] / most + OTHERS * others + is_open
+        # weight of another agent in the picture relative to the agent itself
+        weight = 0.5
+        score = pixels[agent] / most + weight * others + is_open
         # only to a side that is clearly better, or the camera would jump back and forth
         if self._side < 0 or score[self._side] < score.max() - 0.25:
             self._side = int(score.argmax())

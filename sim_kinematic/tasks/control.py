@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.recording import Agent, Recording
 from sim_kinematic.agents.roster import AgentSpec
@@ -93,10 +94,30 @@ class Control:
         """Return the choice that `to_json` wrote."""
         raise NotImplementedError
 
-    def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
-        """Return an agent of a recording with its abilities in this episode; unchanged by default."""
+    def recorded_agent(self, member: AgentSpec, episode: Episode, *, is_external: bool) -> Agent:
+        """Return how a recording names an agent, with the skills that it has in this episode."""
         del episode, is_external
-        return agent
+        body, skills = member.body, self.skills.get(member.kind, ())
+        if isinstance(body, Robot):
+            return Agent(
+                name=member.name,
+                kind="robot",
+                model=f"robot/{member.model}",
+                semantic_id=200,
+                joint_names=tuple(body.joint_names),
+                action_names=("forward", "turn_left"),
+                skill_names=skills,
+            )
+        return Agent(
+            name=member.name,
+            kind="human",
+            model=f"humanoid/{member.model}",
+            # Habitat's id of people, whose pixels its detector counts
+            semantic_id=100,
+            # people with skills are recorded joint by joint, so they have no clips to name
+            motion_names=tuple(clip.name for clip in body.clips) if not self.has_skills else (),
+            skill_names=skills,
+        )
 
     def needed_columns(self, recording: Recording) -> list[str]:
         """Return columns without which a recording cannot be simulated again."""

@@ -12,14 +12,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot, robot_digest
+from h3data.bodies import robot_digest
 from h3data.bodies.names import JOIN
 from h3data.errors import InputError
-from h3data.geometry import Array
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
-    Body,
     Event,
     InputEvent,
     Recording,
@@ -40,9 +38,6 @@ from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
-
-BLOCK = 30
-"""Number of rows that the sink gets at once: one second, which is what a crash may lose."""
 
 
 class Sink(Protocol):
@@ -171,7 +166,9 @@ class Recorder:
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
         self._beside.append(tuple(self.beside.values()))
-        if len(self._rows) == BLOCK:
+        # number of rows that the sink gets at once: one second, which is what a crash may lose
+        block = 30
+        if len(self._rows) == block:
             self._close_block()
         self._take()
 
@@ -324,51 +321,21 @@ def describe(
         info=info,
     )
     assets, bodies = scene_records(scene)
+    numbers = {name: k for k, name in enumerate(episode.moving)}
     return RecordingHeader(
         episode=record,
         assets=assets,
-        bodies=_moving(bodies, episode.moving),
+        bodies=tuple(
+            replace(body, pose=episode.moving[body.name].astype(np.float32), moving=numbers[body.name])
+            if body.name in numbers
+            else body
+            for body in bodies
+        ),
         agents=tuple(
-            task.control.recorded_agent(_agent(task, member), episode, is_external=policy.is_external)
+            task.control.recorded_agent(member, episode, is_external=policy.is_external)
             for member, policy in zip(episode.roster, policies, strict=True)
         ),
         attachments={"scene.glb": file, **walks},
-    )
-
-
-def _moving(bodies: tuple[Body, ...], poses: Mapping[str, Array]) -> tuple[Body, ...]:
-    """Return bodies of the scene, of which those with poses may move."""
-    numbers = {name: k for k, name in enumerate(poses)}
-    return tuple(
-        replace(body, pose=poses[body.name].astype(np.float32), moving=numbers[body.name])
-        if body.name in numbers
-        else body
-        for body in bodies
-    )
-
-
-def _agent(task: Task, member: AgentSpec) -> Agent:
-    body, skills = member.body, task.control.skills.get(member.kind, ())
-    if isinstance(body, Robot):
-        return Agent(
-            name=member.name,
-            kind="robot",
-            model=f"robot/{member.model}",
-            semantic_id=200,
-            joint_names=tuple(body.joint_names),
-            action_names=("forward", "turn_left"),
-            skill_names=skills,
-        )
-    assert isinstance(body, Humanoid)
-    return Agent(
-        name=member.name,
-        kind="human",
-        model=f"humanoid/{member.model}",
-        # Habitat's id of people, whose pixels its detector counts
-        semantic_id=100,
-        # people with skills are recorded joint by joint, so they have no clips to name
-        motion_names=tuple(clip.name for clip in body.clips) if not task.control.has_skills else (),
-        skill_names=skills,
     )
 
 

@@ -167,7 +167,7 @@ def origin(recording: Recording, step: int) -> dict[str, Any]:
 
 
 def header_from(recording: Recording, what: str) -> RecordingHeader:
-    """Return a header with the same bodies, agents and files for an episode of its own; ``what`` makes its uid."""
+    """Return the header of a new episode with the bodies, agents and files of another one; its uid is a digest of ``what``."""
     old = recording.episode
     # entries of ``info`` on the origin of a recording, which do not hold for one made from it
     episode = replace(

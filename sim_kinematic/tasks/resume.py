@@ -32,7 +32,6 @@ from sim_kinematic.tasks.resimulation import (
     Difference,
     Verification,
     compared,
-    first_difference,
     header_from,
     is_counterfactual,
     origin,
@@ -44,19 +43,6 @@ from sim_kinematic.tasks.resimulation import (
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.tasks.wander import Wander
-
-__all__ = [
-    "AddedTime",
-    "Difference",
-    "Verification",
-    "added_time",
-    "counterfactual",
-    "first_difference",
-    "resume",
-    "task_of",
-    "verify",
-    "verify_episode",
-]
 
 
 def task_of(recording: Recording) -> Task:

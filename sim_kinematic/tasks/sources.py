@@ -1,9 +1,12 @@
-"""Sources of episodes: homes by name, opened at first use, and episodes that are sampled in them by seeds."""
+"""Sources of episodes: homes by name, opened at first use, and episodes that are sampled in them by seeds.
+
+`in_words` describes them in a line, for the ``repr`` of environments.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,8 +24,6 @@ from sim_kinematic.tasks.task import Task
 
 SceneChoice = str | os.PathLike[str] | Scene
 Scenes = SceneChoice | Sequence[SceneChoice]
-ATTEMPTS = 20
-"""Number of homes and seeds that are tried before a source gives up, as some homes have no room for some episodes."""
 
 
 class Home:
@@ -92,10 +93,13 @@ class EpisodeSource:
         """Return the episode ``index`` of the run ``seed``.
 
         Raises:
-            SceneError: None of `ATTEMPTS` homes and seeds has room for an episode.
+            SceneError: None of 20 homes and seeds has room for an episode.
         """
         fault: SceneError | None = None
-        for attempt in range(ATTEMPTS):
+        # number of homes and seeds that are tried before a source gives up, as some homes have no room for
+        # some episodes
+        attempts = 20
+        for attempt in range(attempts):
             # another seed changes home and episode; another index would give a later episode of the run twice
             run = seed if attempt == 0 else episode_seed(seed, attempt)
             home = self.homes[self.home_of(run, index)]
@@ -144,3 +148,39 @@ def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
     if not sources:
         raise InputError("Expected at least one scene, got none.", code="H3-TASK-058")
     return sources
+
+
+def in_words(
+    task: str,
+    scenes: Scenes,
+    count: int,
+    agents: Mapping[str, str],
+    *,
+    beside: Mapping[str, str] | None = None,
+    worlds: int = 1,
+) -> str:
+    """Describe an environment: ``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
+
+    Args:
+        task: Name of the task.
+        scenes: Scenes as given to the environment.
+        count: Number of scenes.
+        agents: Models, by kind, of the agents that act.
+        beside: Models, by kind, of the agents that a policy moves.
+        worlds: Number of worlds.
+    """
+    who = " and ".join(f"{kind} {model}" for kind, model in agents.items())
+    others = " and ".join(f"{kind} {model}" for kind, model in (beside or {}).items())
+    return (
+        f"{task}, {_scenes_in_words(scenes, count)}, {who}{' beside ' + others if others else ''}, {worlds} "
+        f"world{'s' if worlds > 1 else ''}"
+    )
+
+
+def _scenes_in_words(scenes: Scenes, count: int) -> str:
+    # largest number of scenes that are named
+    most = 3
+    listed: list[Any] = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
+    names = [scene.name if isinstance(scene, Scene) else os.fspath(scene) for scene in listed]
+    named = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return f"scene {named}" if count == 1 else f"{count} scenes of {named}"

@@ -165,7 +165,7 @@ class MotionTeam(Team):
     def exact(
         self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
     ) -> dict[str, Array]:
-        """Return the named observations of an agent in all worlds, which are this team's."""
+        """Return observations of an agent by name, in all worlds of this team, without noise."""
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)

@@ -12,11 +12,12 @@ import pytest
 
 from h3data.errors import FormatError, H3DataError, InputError, SceneError
 from h3data.formats import detect
-from h3data.mesh.loading import load_mesh, node_box
+from h3data.mesh.loading import load_mesh
 from h3data.mesh.primitives import primitive_mesh
 from h3data.recording import AssetRef
 from h3data.recording.assets.library import AssetLibrary
 from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_habitat.scenes.node_boxes import node_box
 from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_pipelines.cli import main
 

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from h3data.errors import SceneError
 from h3data.mesh.glb import pack_glb
-from h3data.mesh.loading import load_mesh, node_box
+from h3data.mesh.loading import load_mesh
+from h3data_habitat.scenes.node_boxes import node_box
 from tests.mesh.gltf_builder import COLORS, FLOAT, SQUARE, TWO, U16, Builder, encoded, separate
 
 

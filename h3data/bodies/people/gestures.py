@@ -89,8 +89,6 @@ GESTURES: dict[str, Gesture] = {
 }
 """Gestures by name; most are those of the activities of people who live in a home (`sim_kinematic.crowd.routines`)."""
 NAMES = tuple(GESTURES)
-POLE = (-0.35, -0.8, 0.45)
-"""Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
 """Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""
 
@@ -133,6 +131,8 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
         )
     joints = np.array([[JOINT_INDEX[f"{side}_{name}"] for name in ARM_JOINTS] for side, _, _ in SIDES])
     lengths = [np.linalg.norm(body.joint_offsets[pair[1:]], axis=1).sum() for pair in joints]
+    # direction of the elbows: back, down and outwards
+    pole = (-0.35, -0.8, 0.45)
     for number in np.unique(gestures[gestures[:, 2] > 0, 0]).astype(np.intp).tolist():
         gesture = GESTURES[NAMES[number]]
         rows = np.flatnonzero((gestures[:, 0] == number) & (gestures[:, 2] > 0))
@@ -152,7 +152,7 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
             least = np.minimum(gesture.least_m, targets[:, side, 1] - RAISED * lengths[side])
             targets[:, side] += lengths[side] * wrists[:, side, :3] * (1.0, 1.0, -sign)
             targets[:, side, 1] = np.maximum(targets[:, side, 1], least)
-        bent = bend_arms(body.joint_offsets, frames, targets, pole=POLE, twist_deg=gesture.twist_deg)
+        bent = bend_arms(body.joint_offsets, frames, targets, pole=pole, twist_deg=gesture.twist_deg)
         for side in range(2):
             share = np.repeat(shares[:, side], len(ARM_JOINTS))
             at = np.ix_(rows, joints[side])

@@ -55,7 +55,7 @@ class Legs:
 
     @property
     def length(self) -> float:
-        """Thigh and shank together [m]."""
+        """Length of thigh and shank together [m]."""
         return self.thigh + self.shank
 
     @property

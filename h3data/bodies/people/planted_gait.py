@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
     from h3data.scene import FreeSpace
 
-SPEEDS_MPS = (0.0, 0.35, 0.6, 1.0, 1.3, 1.6, 2.5, 3.0, 4.0)
-"""Rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)."""
 PHASES, SHARES = 64, 49
 STEP_S = 1 / 30
 
@@ -32,7 +30,9 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     """The gaits of a body, sampled (40 ms)."""
     from h3data.bodies.people.kernels.planted import GaitTables
 
-    legs, rows = gaits.legs, len(SPEEDS_MPS)
+    # rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)
+    speeds_mps = (0.0, 0.35, 0.6, 1.0, 1.3, 1.6, 2.5, 3.0, 4.0)
+    legs, rows = gaits.legs, len(speeds_mps)
     stand = stand_posture(legs)
     quats, pelvis = np.empty((rows, PHASES, JOINT_COUNT, 4)), np.empty((rows, PHASES, 3))
     quats[0], pelvis[0] = stand.quats[0], stand.pelvis[0]
@@ -42,7 +42,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     # row 0 stands: its curves are flat, so blending with the slowest walk fades every motion out
     swing_path[0, :, 1] = legs.ankle_height
     share = np.linspace(0, 1, SHARES)
-    for k, speed in enumerate(SPEEDS_MPS[1:], 1):
+    for k, speed in enumerate(speeds_mps[1:], 1):
         travel[k], stance[k], strike[k] = float(gaits.stride_m(speed)), gaits.stance(speed), gaits.strike(speed)
 
         def moment(phase: Array, speed=speed) -> Posture:
@@ -60,7 +60,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         swing[k] = np.abs(np.diff(flight.ankle[:, 0, 2])).max() * (SHARES - 1) / (1 - stance[k])
     # standing has no stance of its own; a first step begins as one of the slowest walk
     stance[0], strike[0] = stance[1], strike[1]
-    speeds = np.array(SPEEDS_MPS)
+    speeds = np.array(speeds_mps)
     # travel is 0 where nobody travels; the row after replaces the quotient
     cadence = speeds / np.maximum(travel, 1e-9)
     cadence[0] = cadence[1]

@@ -30,17 +30,6 @@ PREFIX = "random:"
 SHAPE_SPACE = "bodies/shape_space.toml"
 DIRECTIONS = 10
 ADULT_HEIGHT_M = (1.5, 1.95)
-HAIR: tuple[Color, ...] = (
-    (32, 27, 26),
-    (62, 44, 34),
-    (98, 68, 45),
-    (150, 114, 74),
-    (198, 166, 116),
-    (128, 64, 40),
-)
-GREY: Color = (176, 173, 170)
-
-Arrays = Mapping[str, NDArray[Any]]
 
 
 def is_random(name: str) -> bool:
@@ -61,7 +50,7 @@ def _shape_space() -> _ShapeSpace:
     return msgspec.toml.decode(builtin_path(SHAPE_SPACE).read_bytes(), type=_ShapeSpace)
 
 
-def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict[str, Any]:
+def random_arrays(name: str, read: Callable[[str], Mapping[str, NDArray[Any]]], planes: Any) -> dict[str, Any]:
     """The arrays of a baked file for ``random:SEED``.
 
     Args:
@@ -143,9 +132,18 @@ def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, ge
     # the order of the random numbers is part of what a seed means: new ones go last
     skin = np.clip(skin + rng.normal(0, 5, 3), 40, 245)
     dark = skin.mean() < 135  # fair hair is rare above dark skin
-    hair = np.array(HAIR[rng.integers(2 if dark else len(HAIR))], np.float64)
+    hair_colors: tuple[Color, ...] = (
+        (32, 27, 26),
+        (62, 44, 34),
+        (98, 68, 45),
+        (150, 114, 74),
+        (198, 166, 116),
+        (128, 64, 40),
+    )
+    hair = np.array(hair_colors[rng.integers(2 if dark else len(hair_colors))], np.float64)
     grey = np.clip((age - 0.74) / 0.14 + rng.normal(0, 0.15), 0, 1)
-    hair = (1 - grey) * hair + grey * np.array(GREY) + rng.normal(0, 4, 3)
+    greyed: Color = (176, 173, 170)
+    hair = (1 - grey) * hair + grey * np.array(greyed) + rng.normal(0, 4, 3)
     female = rng.random() < np.clip(1.6 * (gender - 0.5) + 0.5, 0, 1)
     # hair styles by whether the person's phenotype is more female than male
     hairstyles = {

@@ -237,7 +237,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Returns whether points [T, 3] are reached."""
+        """Returns at which of the points [T, 3] the hand would arrive."""
         return self.poses(targets).status == kernel.REACHED
 
     @property

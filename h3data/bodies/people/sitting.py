@@ -67,7 +67,6 @@ LYING_PARTS = (
 BELLY, LYING_ELBOWS = (-0.055, 0.07, 0.035), (-0.2, -0.25, 1.0)
 """Places of the wrists of somebody who lies from the pelvis, in body heights, and direction of the elbows: ahead, up and
 outwards."""
-_THIGHS = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
 _ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
 
 
@@ -159,7 +158,8 @@ class Sitting:
         skin = body.skin(body.joint_matrices(roots, quats, pelvis))
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
         above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
-        above &= ~np.isin(owner, _THIGHS)
+        hips_of_legs = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
+        above &= ~np.isin(owner, hips_of_legs)
         pelvis[:, 1] += self.seat_m - SINK_M - np.where(above, skin[..., 1], np.inf).min(1)
         return quats, pelvis
 

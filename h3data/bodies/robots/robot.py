@@ -288,7 +288,7 @@ class Robot:
         return positions
 
     def camera(self, name: str) -> RobotCamera:
-        """The camera of that name."""
+        """Return the camera of the robot with a name."""
         for camera in self.cameras:
             if camera.name == name:
                 return camera

@@ -77,7 +77,7 @@ def is_built_in(name: str | Path) -> bool:
 
 
 def is_robot(name_or_path: str | Path) -> bool:
-    """Returns whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
+    """Returns whether `find_robot` can look up a text: the name of a robot, ``module:name``, or a path of robot files."""
     text = str(name_or_path)
     # built-in names first: all others make every installed package look for its own
     return text in _built_in() or (

@@ -26,7 +26,8 @@ from h3data.bodies.robots.stand_ins import with_stand_ins
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, read_urdf
 from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array, normalized, pose_from_matrix
-from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
+from h3data.mesh.gltf_primitives import DEFAULT_COLOR
+from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
 from h3data.mesh.primitives import box_mesh, round_mesh

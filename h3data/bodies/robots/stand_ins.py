@@ -14,11 +14,6 @@ import numpy as np
 from h3data.bodies.robots.urdf import Urdf, UrdfLink, UrdfPart, missing_meshes
 from h3data.bodies.robots.urdf_parts import UrdfGeometry
 
-log = logging.getLogger(__name__)
-
-REACH_M = 0.6
-"""Distance of a joint beyond which a child is a sensor or a frame on the floor rather than the end of the link [m]."""
-
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
     """Returns a URDF of meshes that exist, and the names of the links whose shapes are all their own.
@@ -28,7 +23,7 @@ def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
     missing = missing_meshes(urdf.links)
     if missing:
         named = ", ".join(str(path) for path in missing[:3]) + (", ..." if len(missing) > 3 else "")
-        log.warning(
+        logging.getLogger(__name__).warning(
             "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
             *(urdf.name, len(missing), named, urdf.path),
         )
@@ -51,10 +46,13 @@ def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
 
 def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
     ends = [joint.origin[:3, 3] for joint in urdf.joints if joint.parent == link.name]
-    points = [np.zeros(3), *(end for end in ends if np.linalg.norm(end) <= REACH_M)]
+    # distance of a joint beyond which a child is a sensor or a frame on the floor rather than the end of the
+    # link [m]
+    reach_m = 0.6
+    points = [np.zeros(3), *(end for end in ends if np.linalg.norm(end) <= reach_m)]
     # limited, since moments that somebody made up may mean a box of many metres
     if link.inertia_box is not None:
-        corners = np.array(np.meshgrid(*[(-half, half) for half in np.minimum(link.inertia_box, REACH_M)])).reshape(
+        corners = np.array(np.meshgrid(*[(-half, half) for half in np.minimum(link.inertia_box, reach_m)])).reshape(
             3, -1
         )
         points += list((link.inertial[:3, :3] @ corners).T + link.inertial[:3, 3])

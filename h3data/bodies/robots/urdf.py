@@ -23,7 +23,6 @@ from xml.parsers import expat
 import numpy as np
 
 from h3data.bodies.robots.urdf_parts import (
-    UrdfGeometry,
     UrdfIssues,
     UrdfPart,
     read_color,
@@ -34,9 +33,6 @@ from h3data.bodies.robots.urdf_parts import (
 )
 from h3data.errors import FormatError, InputError, MissingAssetError
 from h3data.geometry import Array
-
-__all__ = ["Urdf", "UrdfGeometry", "UrdfJoint", "UrdfLink", "UrdfMimic", "UrdfPart", "read_urdf"]
-
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
 MAX_BYTES = 16 << 20

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.mesh.mesh import Mesh
 
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
-"""Kinds of files that a URDF may name; nothing else is ever opened for it."""
 PLANE_THICKNESS_M = 0.1
 
 
@@ -269,8 +267,10 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
             fault = climbs
         else:
             file = _on_disk(folder, rest) or file
-    if fault is None and not rest.lower().endswith(MESH_SUFFIXES):
-        fault = f"expected one of {', '.join(MESH_SUFFIXES)}"
+    # kinds of files that a URDF may name; nothing else is ever opened for it
+    mesh_suffixes = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
+    if fault is None and not rest.lower().endswith(mesh_suffixes):
+        fault = f"expected one of {', '.join(mesh_suffixes)}"
     if fault is None:
         return file
     issues.faults.append(f"{where}, filename: {fault}, got {filename[:80]!r}")

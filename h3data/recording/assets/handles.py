@@ -9,7 +9,6 @@ from h3data.errors import SceneError
 
 HANDLE = "handle:"
 """Begins the uri of an asset that is known by its template's name only."""
-_LISTED = 4
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
@@ -18,11 +17,12 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
     Raises:
         SceneError: several would do; the message lists them.
     """
+    most = 4
     for files in (configs, meshes):
         # resolved first: one file that two roots or a link lead to counts once
         distinct = sorted({file.resolve() for file in files})
         if len(distinct) > 1:
-            listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")
+            listed = ", ".join(map(str, distinct[:most])) + (", ..." if len(distinct) > most else "")
             raise SceneError(
                 f"{len(distinct)} files fit the object handle {name!r}: {listed}. "
                 "Hint: give the folder of one dataset only (assets=[DIR]).",

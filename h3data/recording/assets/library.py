@@ -68,7 +68,7 @@ class AssetLibrary:
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """The asset folders."""
+        """Folders in which assets are looked up."""
         return self.folders.roots
 
     def resolve(self, uri: str) -> Path | None:

@@ -19,21 +19,6 @@ PlaceholderKind = Literal["stage", "human", "robot_link", "small_object", "furni
 
 MAGENTA = (255, 0, 200)
 
-# Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between joints
-# of the Spot in a real recording (base to hip, hip to knee, ...); the thicknesses are guesses.
-_SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
-    ("base", (0, 0, 0), (0.42, 0.1, 0.09)),
-    ("hip", (0, 0, 0), (0.06, 0.045, 0.06)),
-    ("uleg", (0.012, 0, -0.16), (0.04, 0.03, 0.17)),
-    ("lleg", (0, 0, -0.16), (0.025, 0.025, 0.165)),
-    ("link_sh0", (0, 0, -0.02), (0.06, 0.06, 0.05)),
-    ("link_sh1", (0, 0, 0), (0.045, 0.05, 0.045)),
-    ("link_hr0", (0.17, 0, 0), (0.17, 0.035, 0.035)),
-    ("link_el0", (0.2, 0, 0.04), (0.2, 0.03, 0.03)),
-    ("link_wr1", (0.1, 0, 0), (0.1, 0.045, 0.03)),
-    ("link_fngr", (0.04, 0, 0.01), (0.05, 0.04, 0.012)),
-)
-
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
     """Returns the probable kind of a missing file, from its recorded path alone."""
@@ -73,9 +58,24 @@ def placeholder_mesh(uri: str) -> Mesh:
         return _figure(color)
     if kind == "stage":
         return striped_box((20, 0.01, 20), center=(0, -0.02, 0), color=color, stripes=20, share=0.04)
+    # centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances
+    # between joints of the Spot in a real recording (base to hip, hip to knee, ...); the thicknesses are
+    # guesses.
+    spot_links: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
+        ("base", (0, 0, 0), (0.42, 0.1, 0.09)),
+        ("hip", (0, 0, 0), (0.06, 0.045, 0.06)),
+        ("uleg", (0.012, 0, -0.16), (0.04, 0.03, 0.17)),
+        ("lleg", (0, 0, -0.16), (0.025, 0.025, 0.165)),
+        ("link_sh0", (0, 0, -0.02), (0.06, 0.06, 0.05)),
+        ("link_sh1", (0, 0, 0), (0.045, 0.05, 0.045)),
+        ("link_hr0", (0.17, 0, 0), (0.17, 0.035, 0.035)),
+        ("link_el0", (0.2, 0, 0.04), (0.2, 0.03, 0.03)),
+        ("link_wr1", (0.1, 0, 0), (0.1, 0.045, 0.03)),
+        ("link_fngr", (0.04, 0, 0.01), (0.05, 0.04, 0.012)),
+    )
     if kind == "robot_link":
         stem = PurePosixPath(uri).stem
-        for ending, center, half in _SPOT_LINKS:
+        for ending, center, half in spot_links:
             if stem == ending or stem.endswith("." + ending):
                 return striped_box(half, center=center, color=color)
         return striped_box((0.06, 0.06, 0.06), color=color)

@@ -12,25 +12,25 @@ from numpy.typing import NDArray
 
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
-CHUNK_S = 10.0
-"""Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part."""
-
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First row of each stretch of `CHUNK_S`, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
+    """First row of each stretch of 10 s, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
 
     Without rows there is one stretch, which is empty.
     """
     if not len(times_ns):
         return [(0, 0)]
     since = times_ns.astype(np.float64) - float(times_ns[0])  # differences of int64 may overflow
+    # longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the
+    # missing part
+    chunk_s = 10.0
     # counted from the first row: a recording cut out of another does not begin at time 0
-    starts = np.flatnonzero(np.diff(since // (CHUNK_S * 1e9), prepend=-1.0))
+    starts = np.flatnonzero(np.diff(since // (chunk_s * 1e9), prepend=-1.0))
     return list(pairwise([*starts.tolist(), len(times_ns)]))
 
 
 def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
-    """Returns whether poses repeat bit for bit over more than `CHUNK_S`, such as a looping clip in local rotations.
+    """Returns whether poses repeat bit for bit over more than 10 s, such as a looping clip in local rotations.
 
     Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of 60
     frames. Such a recording gets chunks as large as they may be. If its file is cut inside of one, the complete compressed
@@ -83,7 +83,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Number and span of the skills begun before step ``stop``, unless they were handed out complete before.
+        """Return number and span of each skill begun before step ``stop``, except those that were returned complete before.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

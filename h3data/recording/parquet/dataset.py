@@ -82,7 +82,7 @@ class Dataset(DatasetFolder):
         return self.all().split(*shares, seed=seed, by=by)
 
     def merge(self, *others: HasEpisodes) -> Episodes:
-        """Combines episodes as `Episodes.merge`: ``ds.merge(other).save("both/")``."""
+        """Return the episodes of this dataset followed by those of others: ``ds.merge(other).save("both/")``."""
         return self.all().merge(*others)
 
     def recording(

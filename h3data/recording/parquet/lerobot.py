@@ -62,7 +62,7 @@ class Totals:
 
 
 def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
-    """Writes ``meta/tasks.parquet``, ``meta/stats.json`` and, last, ``meta/info.json``."""
+    """Write ``meta/tasks.parquet`` and ``meta/stats.json``, and last ``meta/info.json``, which makes the dataset complete."""
     write_atomic(root / "meta" / "tasks.parquet", _tasks_parquet(totals.tasks))
     pictures = {video.key for video in schema.videos}
     stats = {

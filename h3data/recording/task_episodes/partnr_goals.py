@@ -15,8 +15,6 @@ from h3data.errors import FormatError, InputError
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 
 PROPOSITIONS = "evaluation_propositions"
-ON_FURNITURE = ("is_on_top", "is_inside")
-"""Propositions that are played. The furniture of our scenes does not open: inside means on a surface of it."""
 
 
 class Placement(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,17 +54,19 @@ def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
     if listed is None:
         return None
     where = f"Episode {episode.episode_id!r}"
+    # propositions that are played. The furniture of our scenes does not open: inside means on a surface of it.
+    on_furniture = ("is_on_top", "is_inside")
     try:
         propositions = msgspec.convert(listed, list[_Proposition])
         arguments = [
-            msgspec.convert(p.args, _Arguments) if p.function_name in ON_FURNITURE else None for p in propositions
+            msgspec.convert(p.args, _Arguments) if p.function_name in on_furniture else None for p in propositions
         ]
     except msgspec.ValidationError as fault:
         raise FormatError(f"{where}: {PROPOSITIONS}: {str(fault).replace('`', '')}", code="H3-HABITAT-035") from None
-    others = sorted({p.function_name for p in propositions} - {*ON_FURNITURE})
+    others = sorted({p.function_name for p in propositions} - {*on_furniture})
     if others:
         raise InputError(
-            f"{where} asks for {', '.join(others)}, which h3data does not play. It plays {' and '.join(ON_FURNITURE)}.",
+            f"{where} asks for {', '.join(others)}, which h3data does not play. It plays {' and '.join(on_furniture)}.",
             code="H3-HABITAT-033",
         )
     chosen: dict[str, tuple[str, ...]] = {}

@@ -145,7 +145,7 @@ def handles_of(configs: Sequence[str]) -> list[str]:
 
 @lru_cache(4096)
 def template_name(config: str) -> str:
-    """``024_bowl`` of ``configs/024_bowl.object_config.json``."""
+    """Return the name of a template from its path: ``024_bowl`` of ``configs/024_bowl.object_config.json``."""
     name = config.rsplit("/", 1)[-1]
     return name.removesuffix(".json").removesuffix(".object_config").removesuffix(".glb")
 

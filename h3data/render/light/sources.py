@@ -14,8 +14,6 @@ from h3data.errors import InputError
 from h3data.plugins import Registry
 from h3data.scene.records import LightSource, Scene, instance_bounds
 
-log = logging.getLogger(__name__)
-
 BAKERS: Registry[Callable[..., Any]] = Registry("h3data.lights", {}, what="light")
 """Functions that light a scene: meshes, instances, numbers of those that never move, and `LightSources` to a lit scene."""
 LightMode = Literal["baked", "flat"]
@@ -132,7 +130,9 @@ def _named(
         elif light.kind == "directional" and not np.linalg.norm(light.vector):
             fault = "has no direction"
         if fault:
-            log.warning("Light %r %s: the picture is rendered without it. Scene: %s", light.name, fault, file)
+            logging.getLogger(__name__).warning(
+                "Light %r %s: the picture is rendered without it. Scene: %s", light.name, fault, file
+            )
             continue
         power = light.color * light.intensity
         if light.kind == "directional":

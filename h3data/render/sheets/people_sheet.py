@@ -16,7 +16,6 @@ from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene
 
 SPACING_M, STRIDE_SPACING_M, ROW_M, HFOV_DEG = 0.95, 1.25, 2.05, 16.0
-WALL = (232, 233, 236)
 
 
 def lined_up(
@@ -50,7 +49,8 @@ def lined_up(
             vertices = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
             meshes.append(Mesh(vertices=vertices, faces=prop.faces, colors=prop.colors))
         meshes.append(skinned(body, joints, lod))
-    meshes.append(floor_mesh(WALL))
+    wall = (232, 233, 236)
+    meshes.append(floor_mesh(wall))
     renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
     span = places * spacing
     # a long lens from far away, so that people at the sides are not seen from the side

@@ -13,11 +13,6 @@ from h3data.errors import SceneError
 from h3data.scene.freespace._potentially_visible import potentially_visible
 from h3data.scene.freespace._visibility import GROW_M, Graph, bucket_edges, visibility_edges
 
-log = logging.getLogger(__name__)
-
-BUCKET_M = 0.3
-"""Side of a bucket of blocking edges."""
-
 
 def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
     """The polygons of any geometry, largest first."""
@@ -80,7 +75,9 @@ def build_graph(area: MultiPolygon) -> Graph:
     # the kernels test crossings in floating point; shapely decides once more about each edge
     good = edges_inside(area, nodes[pairs[:, 0]], nodes[pairs[:, 1]])
     if not good.all():
-        log.warning("Visibility graph: %d of %d edges leave the free area and are dropped.", (~good).sum(), len(good))
+        logging.getLogger(__name__).warning(
+            "Visibility graph: %d of %d edges leave the free area and are dropped.", (~good).sum(), len(good)
+        )
     distance, previous = _all_pairs(len(nodes), pairs[good], lengths[good])
     return graph._replace(distance=distance, previous=previous)
 
@@ -136,7 +133,9 @@ def _reflex_corners(area: MultiPolygon) -> tuple[NDArray, NDArray, NDArray, NDAr
 
 def _buckets(area: MultiPolygon, grown: list[Polygon], labels: list[int]) -> tuple[NDArray, float, NDArray]:
     """Grid over the area: origin [2], side, and the island at the middle of each bucket int32 [bx, bz]."""
-    size = BUCKET_M
+    # side of a bucket of blocking edges
+    bucket_m = 0.3
+    size = bucket_m
     if area.is_empty:
         return np.zeros(2), size, np.full((1, 1), -1, np.int32)
     x0, z0, x1, z1 = area.bounds

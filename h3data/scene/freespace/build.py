@@ -23,8 +23,6 @@ from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_
 from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
 
-log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class BuildSpec:
@@ -244,7 +242,9 @@ def walkable_from_triangles(
             code="H3-SCENE-013",
         )
     if cell > voxel_m:
-        log.warning("The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m)
+        logging.getLogger(__name__).warning(
+            "The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m
+        )
     origin = low - cell * 1.5  # no geometry on the faces of voxels, for scenes on a round grid
     shape = tuple(int(s) for s in np.ceil(size / cell).astype(int) + 3)
     steep = float(np.cos(np.radians(45.0)))  # habitat-sim's default

@@ -11,8 +11,6 @@ from h3data.scene.freespace._distance_field import corner_distances, field_many
 from h3data.scene.freespace._points import SNAP_M, each_point
 from h3data.scene.freespace._visibility import Graph
 
-__all__ = ["DistanceField"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceField:

@@ -100,7 +100,7 @@ class FreeSpace(FloorMap):
 
     @classmethod
     def load(cls, path: str | Path) -> FreeSpace:
-        """The free space that `save` wrote."""
+        """Read a free space from a file that `save` has written."""
         return cls.from_map(*store.load(Path(path)))
 
     def save(self, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Folds the keyframes of a gfx-replay, which hold changes, into instances with lifetimes and poses."""
+"""Folds the keyframes of a gfx-replay, which hold changes, into instances with lifetimes, poses and columns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.errors import FormatError
 from h3data.formats.source_file import decode_json
 from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data_habitat.gfx.keyframes import BonePose, Creation, Keyframe, Load, Transform
-from h3data_habitat.limits import MAX_BODIES, MAX_STEPS, check_count
+from h3data_habitat.limits import MAX_BODIES, MAX_STEPS, check_count, check_size
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
@@ -191,12 +191,13 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
     return fold
 
 
-def fold_tracks(fold: Fold, movers: Sequence[Life]) -> NDArray[np.float32]:
+def fold_tracks(fold: Fold, movers: Sequence[Life], path: Path) -> NDArray[np.float32]:
     """Return poses (pose7) [T, M, 7] of instances at every keyframe, NaN where they are absent. Consumes their updates.
 
     Works from the last keyframes to the first and frees what it has used: tracks and updates are never both in memory as
     a whole.
     """
+    check_size(fold.steps, len(movers), path)
     tracks = np.empty((fold.steps, len(movers), 7), np.float32)
     for stop in range(fold.steps, 0, -_BLOCK):
         start = max(stop - _BLOCK, 0)
@@ -204,6 +205,44 @@ def fold_tracks(fold: Fold, movers: Sequence[Life]) -> NDArray[np.float32]:
             tracks[start:stop, k] = _rows(life, start, stop)
             life.updates.drop_after(start)
     return tracks
+
+
+def check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
+    """Raise a `FormatError` if a rotation is not a quaternion; ``where`` names the thing that it rotates."""
+    # a quaternion of length 0 became NaN when it was normalised
+    bad = np.isnan(updates.poses(bones)).any((1, 2))
+    if bad.any():
+        step = updates.steps[int(np.argmax(bad))]
+        raise FormatError(
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
+            code="H3-HABITAT-066",
+        )
+
+
+def user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
+    """Return a column ``user.<name>`` [T, 7] of poses for each user transform, NaN at keyframes without it."""
+    check_size(fold.steps, len(fold.user), path)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, updates in fold.user.items():
+        check_rotations(updates, 1, f"userTransforms, {name!r}", path)
+        rows = np.full((fold.steps, 7), np.nan, np.float32)
+        # transforms do not persist: only keyframes that list one have it
+        rows[np.array(updates.steps)] = updates.poses()[:, 0]
+        columns[f"user.{name}"] = rows
+    return columns
+
+
+def rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
+    """Return a column ``rig.<id>`` [T, bones, 7] of poses for each rig, NaN while its body does not exist."""
+    ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
+    check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
+    columns: dict[str, NDArray[Any]] = {}
+    for number, rig in sorted(fold.rigs.items()):
+        if rig.updates.steps and rig.bones:
+            check_rotations(rig.updates, rig.bones, f"rigUpdates, rig {number}", path)
+            end = ends.get(number, -1)
+            columns[f"rig.{number}"] = filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
+    return columns
 
 
 def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:

@@ -6,7 +6,6 @@ out, unknown members are ignored, and the enumeration ``type``, which changed ov
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,10 +14,10 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.formats import SourceFile, json_format
+from h3data.formats import SourceFile
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
 from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
-from h3data_habitat.json_files import not_json, truncated
+from h3data_habitat.gfx.faults import broken_list, not_a_replay, undecoded
 from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
@@ -178,10 +177,10 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
     found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
     number, known, strange = -1, False, list[str]()
     for number, (start, text) in enumerate(found):
-        keyframe = _decoded(path, number, start, text, Keyframe)
+        keyframe = _decoded(path, text, Keyframe, number, start)
         # looked at until one member is known: later keyframes need not be decoded twice
         if not known:
-            members = list(_decoded(path, number, start, text, dict[str, msgspec.Raw]))
+            members = list(_decoded(path, text, dict[str, msgspec.Raw], number, start))
             known = not REPLAY_MEMBERS.isdisjoint(members)
             strange = strange or members
         yield keyframe
@@ -212,37 +211,21 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
     try:
         yield from elements
     except ArrayFault as fault:
-        if str(fault) == "truncated":
-            raise truncated(path, fault.at) from None
-        raise FormatError(
-            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
-        ) from None
+        raise broken_list(path, fault) from None
     # what follows is read as a document whose list is empty: a second list would replace that
     rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
-    try:
-        again = decode_json(stand_in + rest)["keyframes"]
-    except msgspec.DecodeError as fault:
-        raise not_json(path, stand_in + rest, fault, start=elements.rest_at - len(stand_in)) from None
-    if again != []:
+    document = _decoded(path, stand_in + rest, dict[str, Any], start=elements.rest_at - len(stand_in))
+    if document["keyframes"] != []:
         raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}", code="H3-HABITAT-062")
 
 
 def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
     data = _limited(path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
-    try:
-        file = decode_json(data, _File)
-    # sound JSON of another shape: it is named, unless it has keyframes
-    except msgspec.ValidationError as fault:
-        content = _content(path, data)
-        if isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe")):
-            raise _invalid(path, str(fault)) from None
-        raise _other_kind(path, content) from None
-    except msgspec.DecodeError as fault:
-        raise not_json(path, data, fault) from None
+    file = _decoded(path, data, _File)
     single = bytes(file.keyframe)
     if file.keyframes is None and not single:
-        raise _other_kind(path, _content(path, data))
+        raise not_a_replay(path, data)
     yield from ((0, bytes(text)) for text in (file.keyframes if file.keyframes is not None else [single]))
 
 
@@ -258,59 +241,8 @@ def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: 
     return b"".join(parts)
 
 
-def _decoded(path: Path, number: int, start: int, text: bytes, kind: type[_Kind]) -> _Kind:
+def _decoded(path: Path, text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0) -> _Kind:
     try:
         return decode_json(text, kind)
-    except msgspec.ValidationError as fault:
-        raise _explain(path, number, text, str(fault)) from None
     except msgspec.DecodeError as fault:
-        raise not_json(path, text, fault, start=start) from None
-
-
-def _content(path: Path, data: bytes) -> Any:
-    try:
-        return decode_json(data)
-    except msgspec.DecodeError as fault:
-        raise not_json(path, data, fault) from None
-
-
-def _other_kind(path: Path, content: Any) -> FormatError:
-    if isinstance(content, dict):
-        keys = ", ".join(list(content)[:8]) or "none"
-        shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
-    else:
-        shape = f"It holds a JSON {type(content).__name__}."
-    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}", code="H3-HABITAT-058")
-
-
-def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
-    """An error that names keyframe and instance instead of an index path."""
-    reason, _, where = message.partition(" - at `")
-    where = where.rstrip("`").removeprefix("$").removeprefix(".")
-    place = f"keyframe {number}"
-    match = re.match(r"(\w+)(?:\[(\d+)\])?", where)
-    if match:
-        group, index = match.groups()
-        item = None if index is None else _item(text, group, int(index))
-        key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
-        place += f", {group}"
-        place += f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
-        place += f" ({where})"
-    return _invalid(path, f"{reason} - at `{place}`")
-
-
-def _item(text: bytes, group: str, index: int) -> Any:
-    try:
-        return json.loads(text)[group][
-            index
-        ]  # msgspec refuses numbers that are too large, which may be the fault to explain
-    except (ValueError, RecursionError, LookupError, TypeError):  # a member may occur twice
-        return None
-
-
-def _invalid(path: Path, message: str) -> FormatError:
-    reason, _, where = message.partition(" - at `")
-    place = where.rstrip("`").removeprefix("$.") or "its top level"
-    return FormatError(
-        f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}", code="H3-HABITAT-059"
-    )
+        raise undecoded(path, text, fault, keyframe=keyframe, start=start) from None

@@ -22,9 +22,17 @@ from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 from h3data.srgb import linear_to_bytes
 from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX, add_agents
-from h3data_habitat.gfx.fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
+from h3data_habitat.gfx.fold import (
+    Fold,
+    Life,
+    Loaded,
+    check_rotations,
+    fold_keyframes,
+    fold_tracks,
+    rig_columns,
+    user_columns,
+)
 from h3data_habitat.gfx.keyframes import Load, read_keyframes
-from h3data_habitat.limits import check_size
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
@@ -62,7 +70,7 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}
     if tracks.shape[1]:
         columns["object_pose"] = tracks
-    columns |= _user_columns(fold, path) | _rig_columns(fold, path)
+    columns |= user_columns(fold, path) | rig_columns(fold, path)
     agents, bodies, agent_columns, agent_info = add_agents(
         bodies, assets, columns.get("object_pose"), fold.steps, path, roots=_person_roots(fold, bodies, columns)
     )
@@ -217,7 +225,7 @@ def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], ND
     movers: list[Life] = []
     for life, ref in zip(fold.lives, refs, strict=True):
         where = f"stateUpdates, instance {life.key}"
-        _check_rotations(life.updates, 1, where, path)
+        check_rotations(life.updates, 1, where, path)
         # an instance that is there at times moves too: its absence is a pose of NaN
         moves = life.moves(fold.steps)
         if moves:
@@ -232,35 +240,10 @@ def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], ND
                 moving=len(movers) - 1 if moves else -1,
             )
         )
-    check_size(fold.steps, len(movers), path)
-    return bodies, fold_tracks(fold, movers)
+    return bodies, fold_tracks(fold, movers, path)
 
 
-def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
-    # a quaternion of length 0 became NaN when it was normalised
-    bad = np.isnan(updates.poses(bones)).any((1, 2))
-    if bad.any():
-        step = updates.steps[int(np.argmax(bad))]
-        raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
-            code="H3-HABITAT-066",
-        )
-
-
-# --- user transforms and rigs -----------------------------------------------------------------------------------------
-def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
-    check_size(fold.steps, len(fold.user), path)
-    columns: dict[str, NDArray[Any]] = {}
-    for name, updates in fold.user.items():
-        _check_rotations(updates, 1, f"userTransforms, {name!r}", path)
-        rows = np.full((fold.steps, 7), np.nan, np.float32)
-        rows[np.array(updates.steps)] = updates.poses()[
-            :, 0
-        ]  # transforms do not persist: only keyframes that list one have it
-        columns[f"user.{name}"] = rows
-    return columns
-
-
+# --- people and rigs --------------------------------------------------------------------------------------------------
 def _person_roots(
     fold: Fold, bodies: Sequence[Body], columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[np.float32]]:
@@ -277,18 +260,6 @@ def _person_roots(
     for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
         del columns[name]
     return roots
-
-
-def _rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
-    ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
-    check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
-    columns: dict[str, NDArray[Any]] = {}
-    for number, rig in sorted(fold.rigs.items()):
-        if rig.updates.steps and rig.bones:
-            _check_rotations(rig.updates, rig.bones, f"rigUpdates, rig {number}", path)
-            end = ends.get(number, -1)
-            columns[f"rig.{number}"] = filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
-    return columns
 
 
 def _rig_info(fold: Fold, bodies: Sequence[Body]) -> list[Mapping[str, Any]]:

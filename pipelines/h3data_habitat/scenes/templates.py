@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, MissingAssetError, SceneError
-from h3data.mesh.loading import frame_rotation, load_mesh, load_parts, node_box
+from h3data.mesh.loading import frame_rotation, load_mesh, load_parts
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import is_primitive, primitive_mesh
 from h3data.scene.records import Asset, Receptacle, Shape
@@ -19,6 +19,7 @@ from h3data_habitat.scenes.articulated import Link, empty_mesh, read_links, rece
 from h3data_habitat.scenes.collision_geometry import box_shape, hull_shape, hull_shapes
 from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import flag, mapping, number, numbers, text
+from h3data_habitat.scenes.node_boxes import node_box
 from h3data_habitat.scenes.receptacles import read_receptacles
 from h3data_habitat.scenes.referenced_files import ReferencedFiles
 from h3data_habitat.scenes.scene_dataset import Template

@@ -16,9 +16,8 @@ from h3data_training.torch.rearrange.state import FREE, Play
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
-from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.sources import Scenes
+from sim_kinematic.tasks.sources import Scenes, in_words
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space

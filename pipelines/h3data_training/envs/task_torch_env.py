@@ -19,8 +19,7 @@ from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
 from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
-from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.sources import Scenes
+from sim_kinematic.tasks.sources import Scenes, in_words
 from sim_kinematic.tasks.task import Task
 
 if TYPE_CHECKING:

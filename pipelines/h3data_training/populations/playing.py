@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError
+from h3data.geometry import Array
 from h3data_training.populations.settings import ROBOT
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, Floats, SkillPolicyNetwork, encoded
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, SkillPolicyNetwork, encoded
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.rearrange_observations import observe
@@ -137,7 +138,7 @@ class _Sampler(RecurrentSkillPolicy):
         self.rows: list[tuple[Any, ...]] = []
         self.steps: list[int] = []
 
-    def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
+    def choose(self, view: RearrangeView, each: Array, rest: Array, scores: Array) -> int:
         log_probs = log_softmax(scores.astype(np.float64))
         chosen = int(np.argmax(log_probs + self._rng.gumbel(size=len(scores))))
         card = self.network.card
@@ -172,13 +173,13 @@ class _Sampler(RecurrentSkillPolicy):
         )
 
 
-def log_softmax(scores: Floats) -> Floats:
+def log_softmax(scores: Array) -> Array:
     """Logarithms of the probabilities of scores [C]; minus infinity stays what it is."""
     shifted = scores - scores.max()
     return shifted - np.log(np.exp(shifted).sum())
 
 
-def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Floats, NDArray[np.int64]]:
+def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Array, NDArray[np.int64]]:
     """Discounted reward between each decision and the next one [D], and the number of steps between them.
 
     Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;

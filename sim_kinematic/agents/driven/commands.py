@@ -33,7 +33,7 @@ class HandTarget:
 
 @dataclass(frozen=True)
 class Pick:
-    """Takes an object."""
+    """Command to take an object."""
 
     object: str | int
     """Name, or index among the objects of the task."""
@@ -166,7 +166,7 @@ def command_to_json(action: Action) -> dict[str, Any]:
 
 
 def command_from_json(data: Any) -> Action:
-    """The action that `command_to_json` wrote."""
+    """Return the action that `command_to_json` has written as JSON types."""
     given = data["command"]
     if isinstance(given, str):
         command: Any = Destination.of(given)

@@ -42,7 +42,7 @@ class ObjectRoom:
     """The static things of a scene and its other movable ones."""
 
     def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
-        """``names`` are the objects of the task, in the order of their poses [K, 7]."""
+        """Create a room for the objects of a task; ``names`` are theirs, in the order of their poses [K, 7]."""
         self._scenery, self._floor_y, self._heights = scenery_of(scene), floor_y, room_heights(scene.rooms)
         instances = {i.name: i for i in scene.instances}
         self._shapes = [

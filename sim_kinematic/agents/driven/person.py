@@ -174,7 +174,7 @@ class DrivenPerson(PersonActor):
         return self._after_standing(action)
 
     def idle(self) -> None:
-        """Stands still for one step, under direct control or as other people do."""
+        """Stand still for one step: by the feet of the person who is driven, or as people with skills stand."""
         if self._stirs:
             self._drive(STAND)
         else:

@@ -17,8 +17,6 @@ from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
 """Additional distance that agents rather walk than open a door [m]."""
-BESIDE_M = 1.0
-"""Largest distance from a closed door of a place where nobody can stand because of it [m]."""
 OPEN_SHARE = 0.95
 """Share of their range from which on open doors do not block a path."""
 
@@ -100,6 +98,8 @@ class RoomDoors:
         if k < 0 or (np.isfinite(around) and around <= direct + detour_m):
             return -1
         path = self.open_floor.path(start, wanted[k, :2])
+        # largest distance from a closed door of a place where nobody can stand because of it [m]
+        beside_m = 1.0
         # a path that crosses none may end so close to a closed door that nobody can stand there yet
-        doors = self.crossed(path, positions, self.open_floor.radius_m) or self.crossed(path[-2:], positions, BESIDE_M)
+        doors = self.crossed(path, positions, self.open_floor.radius_m) or self.crossed(path[-2:], positions, beside_m)
         return doors[0] if doors else -1

@@ -86,7 +86,7 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Return whether hands get in."""
+        """Return whether a part is open so far that hands get in."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:
@@ -279,7 +279,10 @@ class ArticulatedParts:
 
 
 def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_m: float) -> NDArray[np.bool_]:
-    """Return which stands ``(x, z, heading)`` [N, 3] keep their discs, ``offsets`` ahead, away from floor points [P, 2]."""
+    """Return at which stands ``(x, z, heading)`` [N, 3] no disc of the base covers one of the floor points [P, 2].
+
+    The centres of the discs are ``offsets`` ahead of the middle of the base.
+    """
     clear = np.ones(len(stands), np.bool_)
     if not len(points):
         return clear

@@ -14,11 +14,6 @@ from h3data.geometry import Array
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.skills import Action
 
-PATIENCE_STEPS = 45
-"""Number of steps for which a part waits until an agent no longer blocks its movement."""
-FRONT_M = 0.05
-"""Least distance in front of a handle from which an agent opens its part, on the side to which the part comes [m]."""
-
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
     """Reason why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
@@ -46,7 +41,7 @@ def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -
 
 
 def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
-    """Positions from where a joint is to the end of its range that is farther away."""
+    """Return positions of a joint on the way from its present one to the end of its range that is farther away."""
     share = float(openables.joints.shares(openables.positions)[k])
     return openables.travel(k, opens=share < 0.5)
 
@@ -64,7 +59,10 @@ def stands_before(
     outward = (ends[1] - ends[0])[[0, 2]]
     outward /= max(float(np.hypot(*outward)), 1e-9)
     before = np.full(len(stands), k in openables.doors)
-    before |= (stands[:, :2] - ends[0, [0, 2]]) @ outward > FRONT_M
+    # least distance in front of a handle from which an agent opens its part, on the side to which the part
+    # comes [m]
+    front_m = 0.05
+    before |= (stands[:, :2] - ends[0, [0, 2]]) @ outward > front_m
     swept = openables.points(k, np.linspace(joint.closed, joint.opened, 12))[:, [0, 2]]
     points = np.concatenate([swept, openables.open_points()])
     return before & stands_clear(stands, points, offsets, radius_m)
@@ -83,7 +81,9 @@ class Leading:
     @property
     def gave_up(self) -> bool:
         """Returns whether somebody stayed in the way for too long."""
-        return self._waited > PATIENCE_STEPS
+        # number of steps for which a part waits until an agent no longer blocks its movement
+        patience_steps = 45
+        return self._waited > patience_steps
 
     def advance(self, step: int) -> bool:
         """Moves the part to its place of a step of its way; False: somebody is there, so that it has not moved."""

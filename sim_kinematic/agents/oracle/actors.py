@@ -147,7 +147,7 @@ class OracleRobot(RobotActor):
         self.objects.poses[k] = pose_multiply(hand, turn)
 
     def release(self) -> None:
-        """The hand is empty."""
+        """Note that the agent no longer holds anything."""
 
 
 @dataclass(eq=False)
@@ -223,7 +223,7 @@ class OraclePerson(PersonActor):
 
 
 def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
-    """Reason why a skill cannot start now; empty: it can."""
+    """Return the reason why a skill cannot start now; an empty text if it can."""
     why = actor.objects.why_not(actor.number, action)
     # without an object there is no place to be at
     if why or action.target < 0:

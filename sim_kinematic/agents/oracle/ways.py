@@ -21,11 +21,6 @@ from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 
 CELL_M = 0.2
 """Side of a cell. With 0.1 m paths are no shorter by 0.1%, the tables four times as large."""
-DETOUR_M = 0.05
-"""A first point that all of a cell sees is taken before one that its middle alone sees if the path is longer by this at most.
-From the rest of the cell the way to the latter may touch what it passes: bases slide along it."""
-SPREAD = 4
-"""Distance in cells up to which a cell that is not free uses the path of the nearest free one."""
 NONE = -1
 
 
@@ -126,6 +121,10 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     # an arc of many points. Its chord leaves the free area by 3 cm at most, where the radius of the agent is 25
     # cm.
     left, after = _from_corners(free.graph, ends, 0.25)
+    # A first point that all of a cell sees is taken before one that its middle alone sees if the path is longer
+    # by this at most. From the rest of the cell the way to the latter may touch what it passes: bases slide
+    # along it.
+    detour_m = 0.05
     first = _from_cells(
         free.graph,
         cells.middles,
@@ -136,7 +135,7 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
         cells.whole,
         left,
         ends,
-        DETOUR_M,
+        detour_m,
     )
     return PathTable(
         points=np.concatenate([nodes, ends]),
@@ -157,7 +156,9 @@ def floor_cells(free: FreeSpace) -> FloorCells:
 
 def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
     """The way of a neighbour for cells [nx, nz] that have none themselves."""
-    for _ in range(SPREAD):
+    # distance in cells up to which a cell that is not free uses the path of the nearest free one
+    spread = 4
+    for _ in range(spread):
         padded, near = np.pad(first, 1, constant_values=NONE), first.copy()
         # neighbours across a side before those across a corner, which are farther away
         for i, j in ((0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (0, 2), (2, 0), (2, 2)):

@@ -38,8 +38,6 @@ from sim_kinematic.motion.step import drive_robots
 
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
-LOOK_M = 0.5
-"""So near to the floor before a place a robot looks at it [m]."""
 ARM_OUT_M = 0.05
 """A base does not drive while the hand is farther from its middle than the hand of the folded arm by more than this
 [m]."""
@@ -206,7 +204,9 @@ class RobotActor(RobotDriver):
         if not np.isfinite(self.free.geodesic(self.xz, goal)):
             return SkillResult("failed", "no_way")
         yield from self._fold_arm()
-        return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=LOOK_M))
+        # so near to the floor before a place a robot looks at it [m]
+        look_m = 0.5
+        return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
@@ -361,7 +361,10 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def _fold_arm(self) -> Generator[None, None, None]:
-        """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
+        """Folds the arm and stands until the hand is nearly over the base.
+
+        Without this, a robot drove off with its arm stretched out, and its hand got 6 cm into a wall.
+        """
         farthest_m, rest = self._folded_m + ARM_OUT_M, self.robot.rest.tobytes()
         # an arm at rest is folded; most drives begin so, and its frames cost more than the comparison
         while not self._is_instant and self.joints.tobytes() != rest:

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.geometry import Array
 from sim_kinematic.agents.skills import PRIMITIVES
 from sim_kinematic.policies.visual_policy import (
     PICTURES,
     CardedNetwork,
-    Floats,
     PolicyCard,
     VisualPolicy,
     array_faults,
@@ -83,11 +83,6 @@ from each start and goal follows from what the paper's robot observes. The choos
 holds, nor where objects are now, nor what is at its goal, nor any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
 """Observations without which no chooser works."""
-NEEDED = ("held_by_other", *CHOOSING)
-"""Observations without which no chooser works that has no camera."""
-PLACES = ("obj_gps_compass", "way_to_objects", "path_ahead")
-"""Observations that tell where objects are. An object in the other agent's hand would tell where that agent is, so a chooser
-without the GPS gets zeros for it."""
 
 
 def rest_count(agent: str) -> int:
@@ -112,7 +107,7 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
-) -> tuple[Floats, Floats]:
+) -> tuple[Array, Array]:
     """Return inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
 
     The last columns of both mark the choice that has been interrupted.
@@ -150,7 +145,10 @@ def encoded(
 
 def hides(name: str, observations: tuple[str, ...]) -> bool:
     """Return whether inputs of an observation are 0 for what the other agent holds."""
-    return name in PLACES and "other_gps_compass" not in observations
+    # observations that tell where objects are. An object in the other agent's hand would tell where that agent
+    # is, so a chooser without the GPS gets zeros for it.
+    places = ("obj_gps_compass", "way_to_objects", "path_ahead")
+    return name in places and "other_gps_compass" not in observations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,8 +192,8 @@ class SkillPolicyNetwork(CardedNetwork):
         return found
 
     def __call__(
-        self, each: Floats, rest: Floats, state: Floats, shown: Mapping[str, NDArray[Any]] | None = None
-    ) -> tuple[Floats, Floats]:
+        self, each: Array, rest: Array, state: Array, shown: Mapping[str, NDArray[Any]] | None = None
+    ) -> tuple[Array, Array]:
         """Return scores of all choices and the next state [H], for inputs of `encoded` and the state [H].
 
         Raises:
@@ -216,7 +214,7 @@ class SkillPolicyNetwork(CardedNetwork):
         return scores.astype(np.float32), state
 
 
-def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+def shapes(card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
     """Return shapes of all arrays by name, with the widths that the given ones have."""
     of_object, rest = input_lengths(card.agent, card.observations)
     found, features = picture_shapes(card, arrays)
@@ -241,13 +239,15 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
     }
 
 
-def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+def _faults(card: PolicyCard, arrays: Mapping[str, Array]) -> list[str]:
     """Return everything in a card and arrays that does not fit together, in words."""
     if card.network != KIND:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
-    all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, NEEDED)
+    # observations without which no chooser works that has no camera
+    always_needed = ("held_by_other", *CHOOSING)
+    all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, always_needed)
     known = tuple(name for name in all_names if name in card.observations or name in needed)
     # the order counts, as it is that of the columns of the weights
     if card.observations != known:

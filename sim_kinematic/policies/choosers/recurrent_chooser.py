@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
+from h3data.geometry import Array
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork, encoded
+from sim_kinematic.policies.choosers.chooser_network import SkillPolicyNetwork, encoded
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.policies.visual_policy import PolicyCard
@@ -95,7 +96,7 @@ class RecurrentSkillPolicy:
         if done and view.action is not None and view.action.skill in ("pick", "place"):
             self._placed[view.action.target] = view.action.skill == "place"
 
-    def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
+    def choose(self, view: RearrangeView, each: Array, rest: Array, scores: Array) -> int:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
         # Gumbel noise (Gumbel 1954): the largest sum is a sample of the softmax of the scores
         rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)

@@ -14,8 +14,6 @@ from sim_kinematic.motion.state import NOBODY, ROBOT
 from sim_kinematic.sensing.sensor import first_point, in_frame
 from sim_kinematic.sensing.table import TABLE, Pose
 
-Floats = NDArray[np.floating]
-
 
 class SkillView(NamedTuple):
     """State of a robot that moves to an object or its goal, or handles it."""
@@ -61,16 +59,16 @@ class SkillContext:
         # one object that the agent or nobody holds: `is_holding` asks no more
         self.held_by = np.array([ROBOT if view.holds else NOBODY])
 
-    def path(self) -> tuple[Floats, Floats]:
+    def path(self) -> tuple[Array, Array]:
         """Return the shortest path to the stand: its length [] [m] and its first way point [2] [m]."""
         view, length = self._view, self._view.path_m
         return np.asarray(length), first_point(view.free, view.xz, view.stand_xz, length, beyond_m=view.beyond_m)
 
-    def clearance(self, points: Floats) -> Floats:
+    def clearance(self, points: Array) -> Array:
         """Return signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
         return self._view.free.signed_distance(points)
 
-    def in_hand(self, points: Floats) -> Floats:
+    def in_hand(self, points: Array) -> Array:
         """Return world points [n, 3] in the frame of the hand."""
         return in_frame(self._view.hand, points)
 

@@ -488,12 +488,10 @@ def spoken(name: str) -> str:
     Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
     """
     instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
-    words = [word for word in re.split(r"[_\W]+", instance) if word and not _HASH.fullmatch(word)]
-    return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if _HASH.search(instance) else instance)
-
-
-# with at least one digit: a long word may consist of the letters a to f
-_HASH = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
+    # with at least one digit: a long word may consist of the letters a to f
+    digest = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
+    words = [word for word in re.split(r"[_\W]+", instance) if word and not digest.fullmatch(word)]
+    return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if digest.search(instance) else instance)
 
 
 def _there(destination: str) -> str:

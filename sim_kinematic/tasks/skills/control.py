@@ -133,8 +133,9 @@ class SkillControl(Control):
         return command_from_json(data)
 
     # --- recordings ---------------------------------------------------------------------------------------------------
-    def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
-        """Return an agent with its skills: in scenes with doors or drawers they include opening and closing."""
+    def recorded_agent(self, member: AgentSpec, episode: Episode, *, is_external: bool) -> Agent:
+        """Return an agent with its skills, which include opening and closing in scenes with doors or drawers."""
+        agent = super().recorded_agent(member, episode, is_external=is_external)
         if is_external and agent.kind == "human":
             agent = replace(agent, skill_names=ALL_SKILLS, action_names=("forward", "turn_left"))
         seen = getattr(episode.spec, "observe", "full") == "seen"
@@ -175,8 +176,12 @@ class SkillControl(Control):
             agent = recording.agents[k]
             on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
             if not on_track and (k not in commands or 0 < since < until):
+                begins = since if k in commands else 0
+                spans, now = recorded_choices(recording, k, objects, begins, joints=joints, surfaces=surfaces)
                 policy = RecordedPolicy(
-                    *_checked(recording, k, objects, since if k in commands else 0, joints, surfaces),
+                    spans,
+                    objects,
+                    now,
                     until=until,
                     since=since,
                     joints=joints,
@@ -235,15 +240,3 @@ def _track_from(recording: Recording) -> int:
             code="H3-TASK-022",
         )
     return step
-
-
-def _checked(
-    recording: Recording,
-    k: int,
-    objects: tuple[str, ...],
-    since: int,
-    joints: tuple[str, ...],
-    surfaces: tuple[str, ...],
-) -> tuple[Any, tuple[str, ...], Any]:
-    spans, now = recorded_choices(recording, k, objects, since, joints=joints, surfaces=surfaces)
-    return spans, objects, now

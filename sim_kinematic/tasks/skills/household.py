@@ -60,19 +60,6 @@ from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.tasks.team import Columns, Team
 from sim_kinematic.world import Command
 
-DTYPES: dict[str, type] = {
-    "base_pose": np.float32,
-    "joint_pos": np.float32,
-    "root_pose": np.float32,
-    "joint_quat": np.float32,
-    "grasp_body": np.int32,
-    "action": np.float32,
-    "skill": np.int32,
-    "skill_target": np.int32,
-    "object_pose": np.float32,
-    JOINTS: np.float32,
-}
-"""Types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``."""
 CONTACT = "contact"
 # one second of 30 steps, and the present
 TRACK = 31
@@ -97,7 +84,7 @@ class Household(Team):
         """`World.touching` where nobody touches anybody."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Put agents and things where the episode begins."""
+        """Put the agents and the things of the home at the places where they are at the beginning of an episode."""
         del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
@@ -145,9 +132,10 @@ class Household(Team):
         self._look()
 
     def _introduced(self) -> GivingWay:
-        """Return the mutual attention of the agents.
+        """Return the record by which the agents give way to each other.
 
-        In a pair, the robot may give way alone: by Habitat's rules, or because somebody outside drives the person.
+        In a pair, the robot may be the only one that gives way: Habitat's rules ask for this, and so does a person whom
+        somebody drives from outside.
         """
         episode, spec, oracle = self.episode, self.episode.spec, self.episode.spec.oracle
         is_pair = kinds_of(episode.roster) == ("robot", "human")
@@ -167,7 +155,10 @@ class Household(Team):
         )
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
-        """Return the actor of an agent: learned or oracle skills if the rules say so, and a person driven from outside."""
+        """Return the actor that carries out the skills of an agent.
+
+        The rules choose between learned and oracle skills. A person whom somebody drives from outside has an actor of its own.
+        """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
@@ -325,7 +316,7 @@ class Household(Team):
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def begin_step(self) -> None:
-        """Decide who steps aside."""
+        """Decide at the beginning of a step which agents step aside."""
         super().begin_step()
         # copies, with which `move` compares what the agents have made of them
         self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
@@ -608,8 +599,21 @@ class Household(Team):
         # not columns of their own: any robot's contact makes `metrics.robot_contact`
         contact = [columns.pop(f"agent_{actor.number}.{CONTACT}") for actor in self.robots]
         places = [columns[f"agent_{number}.base_pose"][:, [0, 2]] for number in range(len(self.actors))]
+        # types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``
+        dtypes: dict[str, type] = {
+            "base_pose": np.float32,
+            "joint_pos": np.float32,
+            "root_pose": np.float32,
+            "joint_quat": np.float32,
+            "grasp_body": np.int32,
+            "action": np.float32,
+            "skill": np.int32,
+            "skill_target": np.int32,
+            "object_pose": np.float32,
+            JOINTS: np.float32,
+        }
         block = {
-            name: values.astype(DTYPES[name.partition(".")[2] if name.startswith("agent_") else name])
+            name: values.astype(dtypes[name.partition(".")[2] if name.startswith("agent_") else name])
             for name, values in columns.items()
         }
         return block, places, np.any(contact, axis=0) if contact else None

@@ -16,9 +16,6 @@ from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.play import WorldRollout
 
-THERE_M = 0.01
-"""Largest distance of an object from its recorded place at which the person takes it [m]."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillTrack:
@@ -129,10 +126,12 @@ def _handle(objects: Objects, number: int, track: SkillTrack, step: int) -> None
     mine, wanted = objects.held(number), int(track.held[step])
     if mine >= 0 and wanted != mine:
         objects.held_by[mine], objects.poses[mine] = NOBODY, track.objects[step, mine]
+    # largest distance of an object from its recorded place at which the person takes it [m]
+    there_m = 0.01
     if wanted >= 0 and wanted != mine and objects.held_by[wanted] == NOBODY:
         # one step before: in this one the object is in the recorded hand already
         lay = track.objects[max(step - 1, 0), wanted, :3]
-        if np.linalg.norm(objects.poses[wanted, :3] - lay) <= THERE_M:
+        if np.linalg.norm(objects.poses[wanted, :3] - lay) <= there_m:
             objects.held_by[wanted] = number
     if wanted >= 0 and objects.held_by[wanted] == number:
         objects.poses[wanted] = track.objects[step, wanted]

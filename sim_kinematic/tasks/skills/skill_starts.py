@@ -23,10 +23,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
 Skill = Literal["nav", "pick", "place"]
 SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
-CANDIDATES = 64
-"""Number of floor points that are compared at once for one start."""
-ROUNDS = 8
-"""Number of attempts, each with `CANDIDATES` points, before a start is given up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,9 +128,13 @@ def _place(
         return None
     # one field from all stands measures every candidate, where geodesics would take a search each
     field = floor.distance_field(stands[:, :2])
-    for _ in range(ROUNDS):
-        points = floor.sample(rng, CANDIDATES)
-        headings = rng.uniform(-np.pi, np.pi, CANDIDATES)
+    # number of floor points that are compared at once for one start
+    candidates = 64
+    # number of attempts, each with 64 points, before a start is given up
+    rounds = 8
+    for _ in range(rounds):
+        points = floor.sample(rng, candidates)
+        headings = rng.uniform(-np.pi, np.pi, candidates)
         lengths = field.distance(points)
         # whether the body fits is asked one by one, so only where the length is right
         for k in np.flatnonzero((lengths >= least) & (lengths <= most)).tolist():

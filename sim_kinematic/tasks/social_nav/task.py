@@ -178,7 +178,7 @@ class SocialNav(Task):
         if isinstance(policy, WaypointPolicy):
             return lambda: play.memory.whole_walk(play.episode).xz[step:]
         track = getattr(policy, "track", None)
-        return None if track is None else partial(_after, track, step)
+        return None if track is None else lambda: track()[step:]
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
@@ -289,8 +289,3 @@ class SocialNav(Task):
             collisions=state.collisions,
             faces=state.faces,
         )
-
-
-def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
-    """Return the part of a track [T, 2] from a step on."""
-    return track()[step:]

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
-from h3data.mesh.loading import node_box
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Hull, Scene, instance_bounds
+from h3data_habitat.scenes.node_boxes import node_box
 from h3data_habitat.scenes.receptacles import largest_rectangle
 from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from tests.paths import TEST_ASSETS

@@ -20,7 +20,6 @@ SHARE_UNIT = 1 / 255
 SHADE_UNIT = 1 / 128
 
 Floats = NDArray[np.float32]
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +63,7 @@ class Patch:
         return point, up if self.body_normals else vertex_normals(point, self.faces)
 
 
-def read_patch(data: Arrays, prefix: str) -> Patch:
+def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
     """The patch whose arrays in a file begin with ``prefix``."""
     shares = data[f"{prefix}/shares"].astype(np.float32)
     # the third one is what is left of 255, so that files hold two
@@ -108,7 +107,7 @@ def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
 
 
 def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """The reverse of `pack_faces`."""
+    """Return the triangles [F, 3] that `pack_faces` has packed into planes of bytes [3, 2, F]."""
     steps = planes[:, 0].astype(np.uint16) | planes[:, 1].astype(np.uint16) << np.uint16(8)
     # sums wrap at 16 bits, as the differences did
     first = np.cumsum(steps[0], dtype=np.uint16)

@@ -149,7 +149,7 @@ class Wardrobe:
     data: Mapping[str, NDArray[Any]]
 
     def patch(self, piece: str, detail: Detail) -> Patch:
-        """A piece as a patch; read at every call."""
+        """Read the patch of a piece of clothing from its file. The patch is not cached."""
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
@@ -165,6 +165,6 @@ class Wardrobe:
 
 @lru_cache(maxsize=1)
 def builtin_wardrobe() -> Wardrobe:
-    """The wardrobe that ships, read once."""
+    """Return the wardrobe of the built-in bodies, which is read once."""
     with np.load(builtin_path(f"bodies/{WARDROBE_FILE}"), allow_pickle=False) as file:
         return Wardrobe(data={key: file[key] for key in file.files})
