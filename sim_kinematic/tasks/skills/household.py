@@ -124,7 +124,9 @@ class Household(Team):
         self.company = self._introduced()
         # after the company, which doors must not open into
         self.objects.openables = openables = self._openables()
-        self.handles: Any = openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
+        self.handles: Any = (
+            openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
+        )
         """Places of the handles of `parts` at rest, [M, 3] [m]."""
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner

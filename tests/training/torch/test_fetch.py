@@ -138,8 +138,7 @@ def test_make_gives_it_on_a_device(bank: RearrangeBank) -> None:
     assert isinstance(env, RearrangeTorchEnv)
     assert "fetch" in repr(env)
     observation, info = env.reset(seed=0)
-    for _ in range(3):
-        observation, reward, terminated, truncated, info = env.step(torch.full((4,), OPEN))
+    observation, reward, terminated, truncated, info = env.step(torch.full((4,), OPEN))
     assert (info["outcome"] == FAILED).all()
     assert observation["last_failed"].argmax(1).tolist() == [OPEN] * 4
     assert reward.dtype == torch.float32
