@@ -148,7 +148,7 @@ class Rearrange(Task):
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`), and with parts that open, if there are."""
+        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`), and with parts that open, if any."""
         return SENSES if not self.Spec.parts else {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
 
     @property

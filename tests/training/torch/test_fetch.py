@@ -236,6 +236,6 @@ def test_rules_and_parts_that_no_device_has_are_named(episodes: list[RearrangeEp
         RearrangeBank.of([replace(episodes[0], spec=replace(RULES, solid_agents=True))], task=Fetch())
     with pytest.raises(InputError, match="H3-TRAIN-061"):
         RearrangeBank.of([replace(episodes[0], spec=FetchSpec())], task=Fetch())
-    with pytest.raises(InputError, match="H3-TRAIN-090"):
+    with pytest.raises(InputError, match="H3-TRAIN-081"):
         RearrangeBank.of(episodes[:1], task=TwoParts())
     assert isinstance(Fetch.control, SkillControl)
