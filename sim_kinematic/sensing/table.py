@@ -440,6 +440,8 @@ SENSES = _rows(
             "way",
             "range_scan",
             *LIDARS,
+            "part_gps_compass",
+            "part_is_open",
             "target_gps_compass",
             "target_sensor",
             "resting_sensor",

@@ -235,8 +235,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         on_floor = starts_on_floor(place.free, known)
         if len(known) == 2:
             return Starts.of(on_floor), True
-        starts = sampled_starts(scene, place.free, record.seed, place.spec, targets, pair)
-        places = starts.places
+        places = sampled_starts(scene, place.free, record.seed, place.spec, targets, pair).places
         if len(known) == 1:
             # one start is the file's: the distance of the rules was tested against the drawn one
             places[0 if record.robot_start is not None else 1] = on_floor[0]

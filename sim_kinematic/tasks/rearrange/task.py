@@ -34,7 +34,7 @@ from sim_kinematic.policies.rearrange import (
     robot_policy,
 )
 from sim_kinematic.policies.searching import Seeking
-from sim_kinematic.sensing.table import SENSES, Sensor
+from sim_kinematic.sensing.table import SENSES, TABLE, Sensor
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
@@ -148,8 +148,8 @@ class Rearrange(Task):
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`)."""
-        return SENSES
+        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`), and with parts that open, if any."""
+        return SENSES if not self.Spec.parts else {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
 
     @property
     def codec(self) -> RearrangeCodec:

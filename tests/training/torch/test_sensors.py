@@ -192,8 +192,9 @@ def _fetch() -> Pairs:
 
     def compare(n: int, play: Any) -> None:
         for agent, kind in enumerate(test_rearrange.KINDS):
-            mine = observed(View.of(pair.sim, pair.state, kind), SHOWN["fetch"])
-            for name, values in exact([play.view(agent)], SHOWN["fetch"]).items():
+            sensors = Fetch().sensors(kind)
+            mine = observed(View.of(pair.sim, pair.state, kind), SHOWN["fetch"], sensors)
+            for name, values in exact([play.view(agent)], SHOWN["fetch"], sensors).items():
                 found[name].append((values, mine[name][n : n + 1].numpy()))
 
     for _ in range(30):

@@ -269,7 +269,7 @@ def _check(episodes: Sequence[RearrangeEpisode], parts: Sequence[tuple[int, ...]
     if wrong := next((own for own in parts if len(own) != first.spec.parts), None):
         raise InputError(
             f"Rules of {task} have {first.spec.parts} doors and drawers to open (parts), and parts_of gives {wrong}.",
-            code="H3-TRAIN-090",
+            code="H3-TRAIN-081",
         )
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)

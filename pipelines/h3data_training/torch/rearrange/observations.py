@@ -106,7 +106,7 @@ class View(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """What hands change."""
+        """State that hands change."""
         return self.play.hands
 
     @property

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from h3data_training.torch.rearrange.state import Play
 from sim_kinematic.sensing.table import Pose
-
-if TYPE_CHECKING:
-    from h3data_training.torch.rearrange.worlds import RearrangeTensors
 
 
 class Things(NamedTuple):
@@ -39,11 +36,10 @@ class SkillTensorRollout:
 
     xp = torch
 
-    def __init__(self, sim: RearrangeTensors, now: Play, memory: Any) -> None:
+    def __init__(self, spec: Any, now: Play, at_goal: Tensor, memory: Any) -> None:
         """``memory`` is what the task stores between steps, [W, ...] each."""
-        self.spec, self.steps, self.memory = sim.spec, now.steps, memory
-        self.at_goal = sim.at_goal(now.hands, sim.tables.at(now.episode))
-        self.open_parts = now.opened
+        self.spec, self.steps, self.memory = spec, now.steps, memory
+        self.at_goal, self.open_parts = at_goal, now.opened
         was = tuple(Pose(now.before[:, who, :2], now.before[:, who, 2]) for who in range(2))
         self.world = SkillWorld(
             len(now.steps),

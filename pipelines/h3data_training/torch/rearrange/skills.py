@@ -277,9 +277,11 @@ def handle(
     objects = torch.where(puts[..., None], spot[:, None], objects)
     placed_by = torch.where(puts, who, torch.where(takes, NOBODY, hands.placed_by))
     moved = (hands.moved | puts) & ~takes
-    part = one_of(choices.part[does.skill.clamp_min(0)], hands.opened.shape[1])
-    opens, closes = (now & (kind == wanted) for wanted in (OPEN, CLOSE))
-    opened = (hands.opened | (opens[:, None] & part)) & ~(closes[:, None] & part)
+    opened = hands.opened
+    if opened.shape[1]:
+        part = one_of(choices.part[does.skill.clamp_min(0)], opened.shape[1])
+        opens, closes = ((now & (kind == wanted))[:, None] & part for wanted in (OPEN, CLOSE))
+        opened = (opened | opens) & ~closes
     over = timed & (timer >= choices.steps[does.skill.clamp_min(0)])
     does = _ended(does._replace(timer=timer), over & ~misses, misses)
     return does, Hands(objects, held_by, moved, placed_by, opened)

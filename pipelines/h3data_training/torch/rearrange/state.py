@@ -67,7 +67,7 @@ class SubGoal(NamedTuple):
 
 
 class Hands(NamedTuple):
-    """What hands change in W worlds: objects with their holders, and what stands open (`Play`)."""
+    """State that hands change in W worlds: objects with their holders, and what stands open (`Play`)."""
 
     objects: Tensor
     held_by: Tensor

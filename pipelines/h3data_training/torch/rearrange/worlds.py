@@ -210,11 +210,14 @@ class RearrangeTensors:
 
     def _judged_by_task(self, play: Play) -> Play:
         """With what the task says of the step."""
-        rollout = SkillTensorRollout(self, play, dict(play.memory))
+        rollout = self._rollout(play, dict(play.memory))
         outcome: Any = self.task.judge(rollout)
         memory = {name: typed(rollout.memory[name], self.dtype) for name in play.memory}
         reward = typed(outcome.reward, self.dtype)
         return self._ended(play._replace(memory=memory, success=outcome.success), reward, outcome.terminated)
+
+    def _rollout(self, play: Play, memory: Any) -> Any:
+        return SkillTensorRollout(self.spec, play, self.at_goal(play.hands, self.tables.at(play.episode)), memory)
 
     def _ended(self, play: Play, reward: Tensor, terminated: Tensor) -> Play:
         truncated = ~terminated & (play.steps >= self.spec.max_steps)
@@ -226,7 +229,7 @@ class RearrangeTensors:
         if self._is_usual:
             return {}
         rows: Any = torch.arange(len(play.steps), device=self.device)
-        begun: Any = self.task.begin(SkillTensorRollout(self, play, None), rows)
+        begun: Any = self.task.begin(self._rollout(play, None), rows)
         return {name: typed(values, self.dtype) for name, values in (begun or {}).items()}
 
     def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
@@ -268,13 +271,13 @@ class RearrangeTensors:
         number = torch.zeros(worlds, dtype=torch.int64, device="meta")
         blank = Play.before_the_first(number, self.bank.objects, self.dtype, self.spec.parts)
         with in_words(f"{who}: the function begin"):
-            rollout: Any = SkillTensorRollout(sim, blank, None)
+            rollout: Any = sim._rollout(blank, None)
             begun: Any = self.task.begin(rollout, number)  # type: ignore[arg-type]
             if begun is None and rollout.memory is not None:
                 raise TypeError("it sets play.memory, and must return it: arrays [W, ...] by name")
             require_tensors(begun or {}, worlds)
         with in_words(f"{who}: the function judge"):
-            rollout = SkillTensorRollout(sim, blank, dict(begun or {}))
+            rollout = sim._rollout(blank, dict(begun or {}))
             outcome: Any = self.task.judge(rollout)
             flags = {name: getattr(outcome, name) for name in ("reward", "terminated", "success")}
             require_tensors({**flags, **rollout.memory}, worlds)
