@@ -66,7 +66,7 @@ NEIGHBOUR_M = 0.12
 """Distance of places beside each other; of two in which people are turned otherwise, a rotation by 1 rad counts as 0.1 m."""
 CURL_RAD = 0.55
 """Bend of the fingers around what a hand holds."""
-FARTHER_M = (0.0, 0.06, 0.12, 0.18, 0.24)
+FARTHER_M = (0.0, 0.08, 0.16, 0.24, 0.3, 0.36, 0.42)
 """Distances of which people who reach with both hands lean farther by the first that suffices [m]."""
 ASIDE_M = 0.2
 """Greatest distance aside of the middle of what people lift or put down [m]."""

@@ -89,7 +89,7 @@ def test_what_cannot_be_done_is_refused() -> None:
     rules = SocialNavSpec()
     scene, free = open_scene(source), open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
     body, near = load_humanoid("female_1"), np.array([7.0, 9.1])
-    with pytest.raises(InputError, match="no place beside it"):
+    with pytest.raises(InputError, match="H3-TASK-086"):
         chore_at(scene, free, body, Stop("dining_table_0", "take", 12.5), near=near)
     routine = ChoreRoutine(scene, free, [Stop("fridge_0", "take", 3.0)], body)
     found = routine.next_stop(near)
