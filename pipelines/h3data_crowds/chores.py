@@ -60,7 +60,7 @@ TRAY_AHEAD, TRAY_UP = 0.26, 0.79
 """Place of the middle of a carried tray in heights of the shoulders."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-ROOM_M, LEAF = 0.3, 0.14
+ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M = 0.12
 """Distance of places beside each other; of two in which people are turned otherwise, a rotation by 1 rad counts as 0.1 m."""
@@ -517,7 +517,9 @@ class _Acting:
         base = self.base[rows]
         self.palms[rows, o] = _seen(base, handle)
         inside = (_ramp(t, 2.3, 3.4) - _ramp(t, 3.8, 4.9))[:, None]
-        self.palms[rows, h] = self.carry[h] + inside * (_seen(base, spot) - self.carry[h])
+        # close before the body until the hand is out of what stands beside
+        near = self.carry[h] * np.column_stack([np.ones((len(t), 2)), 0.3 + 0.7 * _ramp(t, 4.9, 5.9)])
+        self.palms[rows, h] = near + inside * (_seen(base, spot) - near)
         on = _ramp(t, 0.0, 0.9) - _ramp(t, 6.0, 6.9)
         self.shares[rows, o], self.shares[rows, h] = on, _ramp(t, 1.4, 2.2)
         first = reach_poses(self.body, self.palms[rows, o], hands[0])
