@@ -33,7 +33,7 @@ from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene.articulation import handle_points, joints_of
-from h3data.scene.records import instance_bounds
+from h3data.scene.records import Box, instance_matrix
 from h3data.scene.scene_file import scene_bytes
 from h3data_crowds.chores import GRIP_BACK_M, TRAY_M, ChoreRoutine, act_out
 from h3data_pipelines.validation.penetration import penetrations
@@ -94,7 +94,11 @@ def figures_of(recording: Recording) -> dict[str, float]:
         leaf = next(each for each in replay.scene.instances if joints.owner.get(each.name) == k)
         own = positions[:, k] > 1e-4
         back = np.linalg.inv(joints.motions(positions[own])[:, k])
-        box = instance_bounds(replay.scene, leaf)
+        # the panel alone, without the handle that is held
+        (panel,) = replay.scene.assets[leaf.asset].shapes
+        assert isinstance(panel, Box)
+        back = np.linalg.inv(instance_matrix(leaf) @ pose_to_matrix(panel.pose)) @ back
+        box = np.stack([-panel.half_extents, panel.half_extents])
         out["door_mm"] = 1000 * _deepest(skin[own], back, box)
     for thing in recording.moving_bodies:
         track = recording.columns["object_pose"][:, thing.moving].astype(np.float64)
