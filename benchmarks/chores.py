@@ -1,11 +1,11 @@
-"""Contact and motion of people who do chores: all bodies take something out of a fridge, put it down, carry a tray, use a phone.
+"""Contact and motion of people who do chores: all bodies empty a fridge, carry a tray and look at a phone.
 
 Each body does all of it in one home that opens, alone. Skin is that of the light mesh; all figures are the worst of all bodies.
 
 ``motion.chores.handle``, ``motion.chores.grip``
     Distance of the palm from the handle while it leads the door, and of the palms from the ends of the tray.
 ``motion.chores.slide``, ``motion.chores.joint``
-    Displacement of an ankle during a chore, and the fastest joint but those of the feet.
+    Displacement of an ankle during a chore, and the fastest joint but those of the legs.
 ``motion.chores.undone``
     Chores that a body refuses or cannot do from where it came to stand.
 ``penetration.chores.home``
@@ -28,24 +28,24 @@ import h3data
 from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names
 from h3data.bodies.people.reach import hand_points
 from h3data.bodies.people.skeleton import JOINT_NAMES
-from h3data.geometry import Array, pose_to_matrix, transform_points
+from h3data.geometry import Array, pose_to_matrix
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene.articulation import handle_points, joints_of
-from h3data.scene.records import instance_bounds
+from h3data.scene.records import Box, instance_matrix
 from h3data.scene.scene_file import scene_bytes
 from h3data_crowds.chores import GRIP_BACK_M, TRAY_M, ChoreRoutine, act_out
 from h3data_pipelines.validation.penetration import penetrations
 from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
-HOME, SECONDS, SEED = "medium-open:3", 62, 3
+HOME, SECONDS, SEED = "medium-open:3", 72, 3
 STOPS = (
-    Stop("fridge_0", "take", 10.5),
-    Stop("kitchen_counter_0", "put", 6.5),
-    Stop("dining_table_0", "lift", 6.5),
-    Stop("kitchen_counter_2", "put", 6.5),
+    Stop("fridge_0", "take", 12.5),
+    Stop("kitchen_counter_0", "put", 9.0),
+    Stop("dining_table_0", "lift", 8.5),
+    Stop("kitchen_counter_2", "put", 9.0),
     Stop("window_0", "phone", 8.0),
 )
 HANDS = [
@@ -53,8 +53,10 @@ HANDS = [
     for k, name in enumerate(JOINT_NAMES)
     if any(part in name for part in ("wrist", "index", "middle", "pinky", "ring", "thumb"))
 ]
-TURNS = [k for k, name in enumerate(JOINT_NAMES[1:]) if not any(part in name for part in ("ankle", "foot"))]
-"""Joints but those of the feet, which roll as fast in every walk."""
+TURNS = [
+    k for k, name in enumerate(JOINT_NAMES[1:]) if not any(part in name for part in ("hip", "knee", "ankle", "foot"))
+]
+"""Joints but those of the legs, which turn faster in every walk."""
 ANKLES = [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
 
 
@@ -92,7 +94,11 @@ def figures_of(recording: Recording) -> dict[str, float]:
         leaf = next(each for each in replay.scene.instances if joints.owner.get(each.name) == k)
         own = positions[:, k] > 1e-4
         back = np.linalg.inv(joints.motions(positions[own])[:, k])
-        box = instance_bounds(replay.scene, leaf)
+        # the panel alone, without the handle that is held
+        (panel,) = replay.scene.assets[leaf.asset].shapes
+        assert isinstance(panel, Box)
+        back = np.linalg.inv(instance_matrix(leaf) @ pose_to_matrix(panel.pose)) @ back
+        box = np.stack([-panel.half_extents, panel.half_extents])
         out["door_mm"] = 1000 * _deepest(skin[own], back, box)
     for thing in recording.moving_bodies:
         track = recording.columns["object_pose"][:, thing.moving].astype(np.float64)

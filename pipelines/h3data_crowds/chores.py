@@ -1,5 +1,6 @@
-"""Chores: what people of routines do with things of a home. They open a fridge and take something, carry a tray with two hands,
-put both down elsewhere, and look at a phone.
+"""Chores: what people of routines do with the things of a home.
+
+They open a fridge and take something, carry a tray with two hands, put both down elsewhere, and look at a phone.
 
 A `ChoreRoutine` leads people to places from which their hands reach. `act_out` then moves bodies, door and things of a
 recording by its events. Every posture follows from what hands touch: trunk and legs are those of reaching
@@ -10,16 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
 from h3data.bodies.people.kernels.attention import curl_fingers
-from h3data.bodies.people.reach import grasp_point, reach_poses, reacher
+from h3data.bodies.people.reach import Hand, ReachPoses, grasp_point, reach_poses, reacher
 from h3data.bodies.people.skeleton import PARENTS
 from h3data.errors import InputError
 from h3data.geometry import (
@@ -45,33 +46,36 @@ from h3data.scene.records import Instance, instance_bounds, instance_matrix
 from sim_kinematic.crowd.errands import Errand
 from sim_kinematic.crowd.routines import PERSON_M, Routine, Stop
 
-CHORES = {"take": 8.0, "lift": 4.0, "put": 4.0, "phone": 3.0}
+CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0}
 """Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
 """Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
-GRIP_BACK_M = 0.07
+GRIP_BACK_M = 0.1
 """Distance of the hands behind the middle of a tray."""
+OVERHANGS_M = (0.03, 0.06, 0.09, 0.11)
+"""Distances of which the nearer side of a tray is over the edge of what it stands on by the first from which hands reach it."""
 CARRIED = np.array([0.27, 0.80, 0.15])
 """Place of a hand that carries something, ahead, up and outwards, in heights of the shoulders."""
 TRAY_AHEAD, TRAY_UP = 0.26, 0.79
 """Place of the middle of a carried tray in heights of the shoulders."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-ROOM_M, LEAF = 0.3, 0.14
+ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M = 0.12
 """Distance of places beside each other; of two in which people are turned otherwise, a rotation by 1 rad counts as 0.1 m."""
 CURL_RAD = 0.55
 """Bend of the fingers around what a hand holds."""
-FARTHER_M = (0.0, 0.06, 0.12, 0.18, 0.24)
+FARTHER_M = (0.0, 0.08, 0.16, 0.24, 0.3, 0.36, 0.42)
 """Distances of which people who reach with both hands lean farther by the first that suffices [m]."""
 ASIDE_M = 0.2
 """Greatest distance aside of the middle of what people lift or put down [m]."""
 POLE = (-0.35, -0.8, 0.45)
 """Direction of the elbows: back, down and outwards."""
-SETTLES_S, AT_REST_M, AT_REST_RAD = 2.5, 0.012, 0.03
+SETTLES_S, AT_REST_M, AT_REST_RAD = 4.0, 0.012, 0.03
 """Time that people have to come to rest and to turn to the thing; they rest where they move and turn by less in 1/6 s."""
-_ARMS = [[JOINT_INDEX[f"{side}_{name}"] for name in ARM_JOINTS] for side in ("left", "right")]
+_SIDES: tuple[Hand, Hand] = ("left", "right")
+_ARMS = [[JOINT_INDEX[f"{side}_{name}"] for name in ARM_JOINTS] for side in _SIDES]
 
 
 class Chore(NamedTuple):
@@ -115,7 +119,9 @@ class ChoreRoutine(Routine):
         self._next += 1
         # facing is by a point ahead
         x, _, z = (chore.root[:3] + quat_rotate(chore.root[3:], np.array([2.0, 0.0, 0.0]))).tolist()
-        return chore.root[[0, 2]], Errand(np.zeros((0, 2)), stop.seconds, (x, z), stop.activity, stop.place)
+        return np.asarray(chore.root[[0, 2]], np.float64), Errand(
+            np.zeros((0, 2)), stop.seconds, (x, z), stop.activity, stop.place
+        )
 
     def _chore(self, stop: Stop, xz: NDArray[np.float64], taken: Sequence[Array]) -> Chore:
         if stop.seconds < CHORES[stop.activity] + SETTLES_S:
@@ -165,8 +171,8 @@ def chore_at(
     found = [chore for chore in map(made, places[room]) if chore is not None]
     if not found:
         raise InputError(
-            f"{body.name} cannot {stop.activity} at {stop.place}: no place beside it has room and is near enough for the hands. "
-            "Hint: choose another thing, or a home whose furniture opens.",
+            f"{body.name} cannot {stop.activity} at {stop.place}: no place beside it has room and is near enough for the "
+            "hands. Hint: choose another thing, or a home whose furniture opens.",
             code="H3-TASK-086",
         )
     # people arrive within some centimetres: the place with most others around it from which the hands reach too
@@ -209,8 +215,9 @@ def _around(scene: Scene, thing: Instance) -> Array:
     return np.array(rows)
 
 
+@lru_cache(maxsize=16)
 def _door(scene: Scene, name: str) -> tuple[int, Array]:
-    """Number of the joint of the first door of a thing that encloses something, and its handle when it opens [N, 3]; -1: none."""
+    """Number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3]; -1: none."""
     joints = joints_of(scene)
     for k, (thing, part) in enumerate(joints.parts):
         if thing.name == name and part.joint.kind == "revolute" and part.encloses:
@@ -222,7 +229,7 @@ def _door(scene: Scene, name: str) -> tuple[int, Array]:
 
 
 def _frame(handles: Array) -> tuple[Array, Array, Array]:
-    """Directions [2] out of a closed door and from its hinge to the handle, and the hinge [2], from the handle's path [N, 3]."""
+    """Directions [2] out of a closed door and from hinge to handle, and the hinge [2], from the handle's path [N, 3]."""
     path = handles[:, [0, 2]]
     ahead = (path[1] - path[0]) / np.hypot(*(path[1] - path[0]))
     middle = path[len(path) // 2]
@@ -238,7 +245,7 @@ def _opening(scene: Scene, body: Humanoid, name: str, place: Array) -> Chore | N
     k, handles = _door(scene, name)
     ahead, along, hinge = _frame(handles)
     root = ground_pose(place[:2], float(place[2]))
-    opens, takes = _hands(body, root, hinge)
+    opens, takes = _hands(root, hinge)
     local = _seen(root, handles)
     angles = np.linspace(0, WIDE_RAD, len(handles))
     # the leaf of the door, which is a little wider than the handle is far from the hinge
@@ -277,19 +284,21 @@ def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: boo
         if not 0.35 * body.height_m < centre[1] < 0.75 * body.height_m:
             continue
         extent = np.abs(matrix[:3, :3] @ [board.half_size[0], 0, board.half_size[1]])[[0, 2]]
-        inset = np.abs(quat_rotate(root[3:], half * (1, 0, 1)))[[0, 2]] + 0.02
-        low, high = centre[[0, 2]] - extent + inset, centre[[0, 2]] + extent - inset
-        if (low > high).any():
-            continue
-        near = np.clip(place[:2] + 0.05 * ahead[[0, 2]], low, high)
-        spot = np.array([near[0], centre[1] + half[1], near[1]])
-        aside = float(abs((near - place[:2]) @ [-ahead[2], ahead[0]]))
-        if aside > ASIDE_M or _occupied(scene, thing, spot, inset):
-            continue
-        grips = _seen(root, _grips(spot, root) if wide else np.stack([spot, spot]))
-        farther = _farther(body, grips) if wide else 0.0
-        if np.isfinite(farther) if wide else reacher(body, "left").reachable(grips[:1])[0]:
-            return Chore(name, root, spot, farther_m=farther)
+        inset = np.abs(quat_rotate(root[3:], half * (1, 0, 1)))[[0, 2]]
+        for over in OVERHANGS_M if wide else (0.0,):
+            inner = inset - over * np.abs(ahead[[0, 2]])
+            low, high = centre[[0, 2]] - extent + inner, centre[[0, 2]] + extent - inner
+            if (low > high).any():
+                continue
+            near = np.clip(place[:2] + 0.05 * ahead[[0, 2]], low, high)
+            spot = np.array([near[0], centre[1] + half[1], near[1]])
+            grips = _seen(root, _grips(spot, root) if wide else np.stack([spot, spot]))
+            farther = _farther(body, grips) if wide else 0.0
+            if not (np.isfinite(farther) if wide else reacher(body, "left").reachable(grips[:1])[0]):
+                continue
+            aside = float(abs((near - place[:2]) @ [-ahead[2], ahead[0]]))
+            if aside < ASIDE_M and not _occupied(scene, thing, spot, inset):
+                return Chore(name, root, spot, farther_m=farther)
     return None
 
 
@@ -299,8 +308,8 @@ def _farther(body: Humanoid, grips: Array) -> float:
     The trunk is turned less than for one hand, which takes reach from both.
     """
     for farther in FARTHER_M:
-        there = grips + (farther, 0.0, 0.0)
-        one, other = (reach_poses(body, there[k : k + 1], hand) for k, hand in enumerate(("left", "right")))
+        there = grips + np.array([farther, 0.0, 0.0])
+        one, other = (reach_poses(body, there[k : k + 1], hand) for k, hand in enumerate(_SIDES))
         if one.status[0] or other.status[0]:
             continue
         quats = _mixed(one.quats, other.quats, np.array([0.5]))
@@ -313,16 +322,21 @@ def _farther(body: Humanoid, grips: Array) -> float:
 
 def _arm(body: Humanoid, side: int) -> float:
     """Length of an arm from the shoulder to the palm [m]."""
-    grasp = grasp_point(body, ("left", "right")[side])
-    return float(np.linalg.norm(body.joint_offsets[_ARMS[side][1:]], axis=1).sum() + 0.9 * np.linalg.norm(grasp))
+    grasp = grasp_point(body, _SIDES[side])
+    return float(np.linalg.norm(body.joint_offsets[_ARMS[side][1:]], axis=1).sum() + 0.5 * np.linalg.norm(grasp))
+
+
+@lru_cache(maxsize=16)
+def _solids(scene: Scene) -> list[tuple[Instance, Array]]:
+    """Everything in a scene that has shapes, with its bounds [2, 3]."""
+    return [(each, instance_bounds(scene, each)) for each in scene.instances if scene.assets[each.asset].shapes]
 
 
 def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
     """Returns whether something stands where a tray would."""
-    for other in scene.instances:
-        if other is thing or not scene.assets[other.asset].shapes:
+    for other, (low, high) in _solids(scene):
+        if other is thing:
             continue
-        low, high = instance_bounds(scene, other)
         if low[1] < spot[1] + 0.2 and high[1] > spot[1] - 0.005 and not other.name.startswith(f"{thing.name}/"):
             if (np.maximum(low[[0, 2]] - spot[[0, 2]], spot[[0, 2]] - high[[0, 2]]) >= inset).any():
                 continue
@@ -334,7 +348,7 @@ def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
     return False
 
 
-def _hands(body: Humanoid, root: Array, hinge: Array) -> tuple[str, str]:
+def _hands(root: Array, hinge: Array) -> tuple[Hand, Hand]:
     """The hand that opens a door, on the side of its hinge [2], and the one that takes."""
     right = _seen(root, np.array([[hinge[0], 0.0, hinge[1]]]))[0, 2] > 0
     return ("right", "left") if right else ("left", "right")
@@ -374,9 +388,9 @@ PHONE_M = np.array([0.005, 0.074, 0.036])
 def act_out(recording: Recording) -> Recording:
     """Return a recording in which people do the chores of their routines, with what they open and carry.
 
-    Its people have recorded joints, doors their positions, and trays and things tracks of their own. Where people walk and when
-    stays as it is. Recordings without chores are returned as they are. The result is a film of the simulation: simulate and verify
-    the original.
+    Its people have recorded joints, doors their positions, and trays and things tracks of their own. Where people walk, and
+    when, stays as it is. Recordings without chores are returned as they are. The result is a film of the simulation, without
+    a hash of its state: verify the original.
 
     Raises:
         InputError: The recording lacks its home.
@@ -494,8 +508,8 @@ class _Acting:
         if chore is None or t[-1] < CHORES["take"] - 0.5:
             return
         _, _, hinge = _frame(chore.handles if len(chore.handles) > 2 else _door(self.scene, event.detail)[1])
-        hands = _hands(self.body, root, hinge)
-        o, h = (("left", "right").index(hand) for hand in hands)
+        hands = _hands(root, hinge)
+        o, h = (_SIDES.index(hand) for hand in hands)
         angle = (_ramp(t, 0.9, 2.3) - _ramp(t, 4.7, 6.0)) * chore.angles[-1]
         handle = np.stack([np.interp(angle, chore.angles, chore.handles[:, k]) for k in range(3)], 1)
         taken = sum(thing.name.startswith(f"{self.name}_carton") for thing in self.things)
@@ -503,7 +517,9 @@ class _Acting:
         base = self.base[rows]
         self.palms[rows, o] = _seen(base, handle)
         inside = (_ramp(t, 2.3, 3.4) - _ramp(t, 3.8, 4.9))[:, None]
-        self.palms[rows, h] = self.carry[h] + inside * (_seen(base, spot) - self.carry[h])
+        # close before the body until the hand is out of what stands beside
+        near = self.carry[h] * np.column_stack([np.ones((len(t), 2)), 0.3 + 0.7 * _ramp(t, 4.9, 5.9)])
+        self.palms[rows, h] = near + inside * (_seen(base, spot) - near)
         on = _ramp(t, 0.0, 0.9) - _ramp(t, 6.0, 6.9)
         self.shares[rows, o], self.shares[rows, h] = on, _ramp(t, 1.4, 2.2)
         first = reach_poses(self.body, self.palms[rows, o], hands[0])
@@ -519,14 +535,14 @@ class _Acting:
         chore = self._surface_at(event, root, wide=True) if self.holds is None and len(t) else None
         if chore is None or t[-1] < CHORES["lift"] - 0.5 or any("tray" in thing.name for thing in self.things):
             return
-        base, up = self.base[rows], _ramp(t, 1.2, 2.6)[:, None]
+        base, up = self.base[rows], _ramp(t, 1.7, 2.9)[:, None]
         spot = _seen(base, np.broadcast_to(chore.spot, (len(t), 3)))
-        self._both(
-            rows, spot + up * (self.tray_at - spot), spot, _ramp(t, 0.0, 1.0) - _ramp(t, 1.9, 2.9), chore.farther_m
-        )
-        self.shares[rows] = _ramp(t, 0.0, 1.0)[:, None]
+        # hands come from above, not through the edge of a table
+        apart = (_ramp(t, 0.5, 1.5)[:, None] - up) * (spot - self.tray_at)
+        self._both(rows, self.tray_at + apart, spot, _ramp(t, 0.4, 1.4) - _ramp(t, 2.0, 3.1), chore.farther_m)
+        self.shares[rows] = _ramp(t, 0.0, 0.9)[:, None]
         self._new("tray", "tray", TRAY_M, chore.spot, root)
-        self._hold("tray", len(self.things) - 1, 2, rows, t, 1.1, event)
+        self._hold("tray", len(self.things) - 1, 2, rows, t, 1.6, event)
 
     def _put(self, event: Event, rows: slice) -> None:
         t, root = self._since(rows)
@@ -537,19 +553,16 @@ class _Acting:
         if chore is None:
             return
         self._keep(self._held_since, rows.start)
-        base, down = self.base[rows], _ramp(t, 0.0, 1.5)[:, None]
+        base = self.base[rows]
         spot = _seen(base, np.broadcast_to(chore.spot, (len(t), 3)))
-        lean = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0)
+        lean, out = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0), (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
         if kind == "tray":
-            self._both(rows, self.tray_at + down * (spot - self.tray_at), spot, lean, chore.farther_m)
+            self._both(rows, self.tray_at + out * (spot - self.tray_at), spot, lean, chore.farther_m)
         else:
-            back = (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
-            self.palms[rows, hand] = self.carry[hand] + back * (spot - self.carry[hand])
-            poses = reach_poses(self.body, spot, ("left", "right")[hand])
+            self.palms[rows, hand] = self.carry[hand] + out * (spot - self.carry[hand])
+            poses = reach_poses(self.body, spot, _SIDES[hand])
             self._lean(rows, poses, poses, np.zeros(len(t)), lean)
-        who = slice(None) if hand == 2 else hand
-        off = 1 - _ramp(t, *((1.9, 2.9) if hand == 2 else (2.6, 3.4)))
-        self.shares[rows, who] = off[:, None] if hand == 2 else off
+        self.shares[rows, slice(None) if hand == 2 else slice(hand, hand + 1)] = 1 - _ramp(t, 2.9, 3.8)[:, None]
         free = rows.start + int(np.searchsorted(t, 1.7))
         self._follows.append((number, hand, self._grasped, free))
         self._tell(free, "puts", number, rows, event)
@@ -567,8 +580,9 @@ class _Acting:
         base = self.base[rows]
         gone = np.hypot(*(base[5:, [0, 2]] - base[:-5, [0, 2]]).T)
         turned = np.abs(wrap_angle(heading_from_quat(base[5:, 3:]) - heading_from_quat(base[:-5, 3:])))
-        rests = np.flatnonzero((gone < AT_REST_M) & (turned < AT_REST_RAD))
-        first = int(rests[0]) if len(rests) else max(len(base) - 1, 0)
+        early = self.seconds[rows][5:] - self.seconds[rows.start] < SETTLES_S + 0.5
+        moves = np.flatnonzero(early & ((gone > AT_REST_M) | (turned > AT_REST_RAD)))
+        first = int(moves[-1]) + 5 if len(moves) else 0
         return self.seconds[rows] - self.seconds[rows.start + first], self.base[rows.start + first]
 
     def _surface_at(self, event: Event, root: Array, *, wide: bool) -> Chore | None:
@@ -580,11 +594,11 @@ class _Acting:
         """Puts both palms at the sides of a tray whose middle is at places [T, 3] in the root's frame."""
         here = np.tile(IDENTITY_POSE, (len(middle), 1))
         self.palms[rows] = _grips(middle, here)
-        ends = _grips(spot, here) + (farther_m, 0.0, 0.0)
-        poses = (reach_poses(self.body, ends[:, k], hand) for k, hand in enumerate(("left", "right")))
-        self._lean(rows, *poses, np.full(len(middle), 0.5), lean)
+        ends = _grips(spot, here) + np.array([farther_m, 0.0, 0.0])
+        left, right = (reach_poses(self.body, ends[:, k], hand) for k, hand in enumerate(_SIDES))
+        self._lean(rows, left, right, np.full(len(middle), 0.5), lean)
 
-    def _lean(self, rows: slice, one: object, other: object, share: Array, weight: Array) -> None:
+    def _lean(self, rows: slice, one: ReachPoses, other: ReachPoses, share: Array, weight: Array) -> None:
         """Blends two postures of reaching, and both with what is recorded."""
         quats = _mixed(one.quats, other.quats, share)
         pelvis = one.pelvis + share[:, None] * (other.pelvis - one.pelvis)
@@ -611,7 +625,7 @@ class _Acting:
     def _keep(self, start: int, end: int) -> None:
         """Lets the person carry what they hold for some rows."""
         assert self.holds is not None
-        kind, number, hand = self.holds
+        _, number, hand = self.holds
         rows = slice(start, end)
         if hand == 2:
             here = np.tile(IDENTITY_POSE, (end - start, 1))
@@ -626,8 +640,9 @@ class _Acting:
         """Bends the arms so that the palms are where they should be, and moves what they hold."""
         rows = np.flatnonzero(self.shares.any(1))
         frames = self.body.joint_matrices(np.tile(IDENTITY_POSE, (len(rows), 1)), self.quats[rows], self.pelvis[rows])
-        grips = [grasp_point(self.body, hand) for hand in ("left", "right")]
+        grips = [grasp_point(self.body, hand) for hand in _SIDES]
         wrists, quats = self.palms[rows].copy(), self.quats[rows].copy()
+        bent = np.zeros((len(rows), 2, len(ARM_JOINTS), 4))
         # the wrist is behind the palm by an offset that turns with it
         for _ in range(5):
             bent = bend_arms(self.body.joint_offsets, frames, wrists, pole=POLE, twist_deg=6.0)
@@ -637,7 +652,7 @@ class _Acting:
             for side, joints in enumerate(_ARMS):
                 wrists[:, side] = self.palms[rows, side] - own[:, joints[2], :3, :3] @ grips[side]
         for side, joints in enumerate(_ARMS):
-            at = np.ix_(rows, joints)
+            at = np.ix_(rows, np.array(joints))
             self.quats[at] = _mixed(self.quats[at], bent[:, side], self.shares[rows, side])
         for row in rows.tolist():
             curl_fingers(self.quats[row], CURL_RAD * self.shares[row])

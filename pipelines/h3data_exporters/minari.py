@@ -61,7 +61,8 @@ def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: 
     part.mkdir(parents=True)
     try:
         storage = minari.dataset.minari_storage.MinariStorage.new(
-            part,
+            # Minari puts the folder before the names of its files twice
+            part.absolute(),
             observation_space=spaces.Dict(
                 {name: box(values.shape[1]) for name, values in observations_of(first, found).items()}
             ),

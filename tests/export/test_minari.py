@@ -38,10 +38,11 @@ def test_every_observation_and_action_comes_back(
     recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "walks-v0"
+    monkeypatch.chdir(tmp_path)
     ended = replace(
         recordings[1], events=(), episode=replace(recordings[1].episode, info={"ended": "success", "success": True})
     )
-    assert write_minari([recordings[0], ended], folder) == 2
+    assert write_minari([recordings[0], ended], Path("walks-v0")) == 2
     assert [path.name for path in folder.iterdir()] == ["data"]
     for dataset in (loaded(folder, monkeypatch), minari.MinariDataset(folder / "data")):
         assert (dataset.id, dataset.total_episodes, dataset.total_steps) == ("walks-v0", 2, 2 * 39)

@@ -66,7 +66,7 @@ while True:
 MINARI = """
 import minari
 from minari.dataset.minari_dataset import MinariDataset
-print(MinariDataset("minari/data").total_episodes)
+print(MinariDataset("walks-v0/data").total_episodes)
 """
 
 
@@ -95,7 +95,9 @@ DOORS: Mapping[str, Door] = {
         refused=(("-c", DATASET_ENV),),
     ),
     "minari": Door(
-        extra="minari", works=("export ds --to minari -o minari",), refused=("export ds --to minari -o no",)
+        extra="minari",
+        works=("export ds --to minari -o walks-v0", ("-c", MINARI)),
+        refused=("export ds --to minari -o no-v0",),
     ),
     "remote": Door(
         extra="remote",
@@ -148,8 +150,10 @@ DOORS: Mapping[str, Door] = {
             "scenes export small:3 --to usd -o home.usdz",
             "scenes show home.usdz -o home.png",
             f"generate social_nav --scenes home.usdz {SHORT} -o in_usd",
+            # a home that has been read is kept, and opens without the extra
+            ("-c", "import shutil; shutil.copy('home.usdz', 'unread.usdz')"),
         ),
-        refused=("scenes export small:3 --to usd -o no.usdz", "scenes show home.usdz -o no.png"),
+        refused=("scenes export small:3 --to usd -o no.usdz", "scenes show unread.usdz -o no.png"),
     ),
     "procthor": Door(
         extra="",
@@ -163,7 +167,7 @@ DOORS: Mapping[str, Door] = {
         extra="rays",
         works=(
             f"generate wander {SHORT} --sensors lidar_3d --mcap -o clouds",
-            "replay clouds/000000.mcap --verify",
+            "replay clouds/mcap/000000.mcap --verify",
         ),
         refused=(f"generate wander {SHORT} --sensors lidar_3d --mcap -o no",),
     ),
