@@ -83,14 +83,15 @@ def _sight(emit: Callable[[str, float, str], None]) -> None:
         cost: dict[str, list[float]] = {"full": [], "seen": []}
         for _ in range(SIGHT_TURNS + 1):
             for observe, found in cost.items():
-                steps, start = 0, time.process_time()
+                steps, spent = 0, 0.0
                 for seed in SIGHT_SEEDS:
                     episode = task.episode(scene, seed=seed, spec=task.Spec(observe=observe))
                     rollout = WorldRollout.of(task, episode, _errands(task, episode))
                     draw = partial(rollout.pictures, 0, 0, names, None) if names else int
+                    start = time.process_time()
                     run_episode(rollout, progress=lambda _, draw=draw: draw())
-                    steps += rollout.step
-                found.append((time.process_time() - start) / steps)
+                    spent, steps = spent + time.process_time() - start, steps + rollout.step
+                found.append(spent / steps)
         full, seen = (min(found[1:]) for found in cost.values())
         emit(f"language.step_{camera}full_ms", full * 1e3, "ms")
         emit(f"language.step_{camera}seen_ms", seen * 1e3, "ms")
