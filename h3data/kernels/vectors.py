@@ -94,13 +94,15 @@ class Vec:
 
     def minimum(self, other: Vec | float) -> Vec:
         """Smaller of the components of two vectors."""
-        mask = self.compare("<", other).value
-        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+        return self.where(self.compare("<", other), other)
 
     def maximum(self, other: Vec | float) -> Vec:
         """Larger of the components of two vectors."""
-        mask = self.compare(">", other).value
-        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+        return self.where(self.compare(">", other), other)
+
+    def where(self, mask: Mask, other: Vec | float) -> Vec:
+        """The vector where a mask holds, and other components elsewhere."""
+        return Vec(self.builder, self.builder.select(mask.value, self.value, self._lift(other)))
 
     def unary(self, name: str) -> Vec:
         """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
