@@ -131,6 +131,12 @@ def splat(builder: Any, scalar: Any, vector_type: Any = FLOAT8) -> Any:
     return builder.shuffle_vector(first, undefined, ir.Constant(INT8, [0] * LANES))
 
 
+def spread(builder: Any, address: Any, word: int, kind: Any = FLOAT8) -> Vec:
+    """The number ``word`` of the array at ``address`` in all eight lanes."""
+    size = 4 if kind == FLOAT8 else 8
+    return Vec(builder, splat(builder, load(builder, address, size * word, kind.element), kind))
+
+
 def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any:
     """The value at ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), kind.as_pointer())

@@ -85,8 +85,11 @@ def encounter_series(
     global _measured_rows
     _measured_rows += len(robot_pose)
     # other types would compile another version of the kernel, which takes eight rows at a time
-    is_worth_it = len(robot_pose) >= 8 and ("numba" in sys.modules or _measured_rows > MANY_ROWS)
-    if is_worth_it and robot_pose.dtype == human_pose.dtype == np.float32:
+    if (
+        len(robot_pose) >= 8
+        and ("numba" in sys.modules or _measured_rows > MANY_ROWS)
+        and robot_pose.dtype == human_pose.dtype == np.float32
+    ):
         return _compiled_series(robot_pose, human_pose, reach_m, time_ns, starts, thresholds)
     robot = _components(robot_pose)
     series, (forward_x, forward_z) = _found(robot, _components(human_pose), reach_m.astype(np.float64), thresholds)

@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 
 from h3data.kernels import kernel
-from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, intrinsic, load, pick, splat, store
+from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, intrinsic, load, pick, spread, store
 
 
 @intrinsic
@@ -28,7 +28,7 @@ def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits
             b.ptrtoint(array.data, INT64) for array in arrays
         )
         near_m, far_m, least_facing, avoid_m, yield_m_s, still_m_s = (
-            Vec(b, splat(b, load(b, limits_at, 8 * k, DOUBLE8.element), DOUBLE8)) for k in range(6)
+            spread(b, limits_at, k, DOUBLE8) for k in range(6)
         )
         rows = b.extract_value(arrays[-1].shape, 1)  # the series lie one after another
         # of the eight rows before: x and z of the robot, its forward direction (x, z), and the time

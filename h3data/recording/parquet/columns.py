@@ -33,12 +33,11 @@ def numbers(array: pa.Array) -> NDArray[Any]:
     """
     if array.null_count:
         raise ValueError("there are nulls")
-    data, start = array.buffers()[1], array.offset
-    if pa.types.is_boolean(array.type):
-        bits = np.unpackbits(np.ndarray(0 if data is None else data.size, np.uint8, data), bitorder="little")
-        return bits[start : start + len(array)].view(np.bool_)
-    dtype = np.dtype(array.type.to_pandas_dtype())
-    return np.ndarray(len(array), dtype, data, start * dtype.itemsize)
+    # booleans are stored as bits
+    whole = array.cast(pa.uint8()) if pa.types.is_boolean(array.type) else array
+    dtype = np.dtype(whole.type.to_pandas_dtype())
+    values = np.ndarray(len(whole), dtype, whole.buffers()[1], whole.offset * dtype.itemsize)
+    return values if whole is array else values.view(np.bool_)
 
 
 def to_arrow(rows: NDArray[Any]) -> pa.Array:
