@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.render.raster.vectors": "h3data.kernels.vectors",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
     "h3data.render.light.exposure": "h3data_light.exposure",
