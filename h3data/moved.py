@@ -13,6 +13,7 @@ MOVED = {
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
     "sim_kinematic.controllers.controller": "sim_kinematic.controllers",
+    "h3data.render.raster.vectors": "h3data.kernels.vectors",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
     "h3data.render.light.exposure": "h3data_light.exposure",

@@ -94,13 +94,15 @@ class Vec:
 
     def minimum(self, other: Vec | float) -> Vec:
         """Smaller of the components of two vectors."""
-        mask = self.compare("<", other).value
-        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+        return self.where(self.compare("<", other), other)
 
     def maximum(self, other: Vec | float) -> Vec:
         """Larger of the components of two vectors."""
-        mask = self.compare(">", other).value
-        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+        return self.where(self.compare(">", other), other)
+
+    def where(self, mask: Mask, other: Vec | float) -> Vec:
+        """The vector where a mask holds, and other components elsewhere."""
+        return Vec(self.builder, self.builder.select(mask.value, self.value, self._lift(other)))
 
     def unary(self, name: str) -> Vec:
         """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
@@ -127,6 +129,12 @@ def splat(builder: Any, scalar: Any, vector_type: Any = FLOAT8) -> Any:
     undefined = ir.Constant(vector_type, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(INT, 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(INT8, [0] * LANES))
+
+
+def spread(builder: Any, address: Any, word: int, kind: Any = FLOAT8) -> Vec:
+    """The number ``word`` of the array at ``address`` in all eight lanes."""
+    size = 4 if kind == FLOAT8 else 8
+    return Vec(builder, splat(builder, load(builder, address, size * word, kind.element), kind))
 
 
 def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any:

@@ -84,8 +84,12 @@ def encounter_series(
     _measured_rows += len(robot_pose)
     # rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length
     many_rows = 3_000_000
-    # other types would compile another version of the kernel
-    if ("numba" in sys.modules or _measured_rows > many_rows) and robot_pose.dtype == human_pose.dtype == np.float32:
+    # other types would compile another version of the kernel, which takes eight rows at a time
+    if (
+        len(robot_pose) >= 8
+        and ("numba" in sys.modules or _measured_rows > many_rows)
+        and robot_pose.dtype == human_pose.dtype == np.float32
+    ):
         return _compiled_series(robot_pose, human_pose, reach_m, time_ns, starts, thresholds)
     robot = _components(robot_pose)
     series, (forward_x, forward_z) = _found(robot, _components(human_pose), reach_m.astype(np.float64), thresholds)

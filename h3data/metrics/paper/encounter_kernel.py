@@ -12,87 +12,72 @@ from numba import types
 from numba.core import cgutils
 
 from h3data.kernels import kernel
-from h3data.kernels.vectors import DOUBLE8, FLOAT, FLOAT8, INT, INT64, LANES, Vec, intrinsic, load, pick, splat, store
+from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, intrinsic, load, pick, spread, store
 
 
 @intrinsic
-def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, before, limits, quantities, flags, count):
-    """Fills the series of the first ``count`` times eight rows, and ``before`` with what the rows after them need of these.
+def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits, quantities, flags, first, count):
+    """Fills the series of ``count`` times eight rows from row ``first`` on, which has no velocity."""
 
-    ``before`` holds x and z of the robot, its forward direction (x, z), and the time as an int64.
-    """
-
-    def codegen(context, builder, signature, arguments):
-        b = builder
-        *arrays, packs = (
+    def codegen(context, b, signature, arguments):
+        *arrays, first, count = (
             value if kind == types.intp else context.make_array(kind)(context, b, value)
             for kind, value in zip(signature.args, arguments, strict=True)
         )
-        addresses = [b.ptrtoint(array.data, INT64) for array in arrays]
-        robot_at, human_at, reach_at, time_at, before_at, limits_at, quantities_at, flags_at = addresses
-        double = DOUBLE8.element
-        limits = [Vec(b, splat(b, load(b, limits_at, 8 * k, double), DOUBLE8)) for k in range(6)]
-        near_m, far_m, least_facing, avoid_m, yield_m_s, still_m_s = limits
+        robot_at, human_at, reach_at, time_at, limits_at, quantities_at, flags_at = (
+            b.ptrtoint(array.data, INT64) for array in arrays
+        )
+        near_m, far_m, least_facing, avoid_m, yield_m_s, still_m_s = (
+            spread(b, limits_at, k, DOUBLE8) for k in range(6)
+        )
         rows = b.extract_value(arrays[-1].shape, 1)  # the series lie one after another
+        # of the eight rows before: x and z of the robot, its forward direction (x, z), and the time
         kinds = [DOUBLE8] * 4 + [ir.VectorType(INT64, LANES)]
-        last = [
-            cgutils.alloca_once_value(b, splat(b, load(b, before_at, 8 * k, kind.element), kind))
-            for k, kind in enumerate(kinds)
-        ]
-
-        def shifted(values):
-            """Values of the rows before, of which the first is the last one of the eight rows before."""
-            pairs = [(b.load(slot), value) for slot, value in zip(last, values, strict=True)]
-            for slot, value in zip(last, values, strict=True):
-                b.store(value, slot)
-            return [pick(b, old, new, range(7, 15)) for old, new in pairs]
+        last = [cgutils.alloca_once_value(b, ir.Constant(kind, None)) for kind in kinds]
 
         def at(address, size):
-            return b.add(address, b.mul(loop.index, ir.Constant(INT64, LANES * size)))
+            row = b.add(first, b.mul(loop.index, ir.Constant(INT64, LANES)))
+            return b.add(address, b.mul(row, ir.Constant(INT64, size)))
 
-        with cgutils.for_range(b, packs, intp=INT64) as loop:
+        with cgutils.for_range(b, count, intp=INT64) as loop:
             x, y, z, qx = _columns(b, at(robot_at, 28), 0)
             _, qy, qz, qw = _columns(b, at(robot_at, 28), 3)
             human_x, human_y, human_z, _ = _columns(b, at(human_at, 28), 0)
             dx, dy, dz = human_x - x, human_y - y, human_z - z
             across, up = -((qy * qy + qz * qz) * 2.0) + 1.0, (qx * qz - qy * qw) * 2.0
             length = (across * across + up * up).unary("sqrt")
-            length = Vec(b, b.select(length.compare("==", 0.0).value, length._lift(np.inf), length.value))
+            length = length.where(~length.compare("==", 0.0), np.inf)
             forward_x, forward_z = across.divided_by(length), up.divided_by(length)
             dist = (dx * dx + dy * dy + dz * dz).unary("sqrt")
             floor_dist = (dx * dx + dz * dz).unary("sqrt")
             along = forward_x * dx + forward_z * dz
-            apart = floor_dist.compare(">", 0.0).value
-            facing_dot = along.divided_by(Vec(b, b.select(apart, floor_dist.value, floor_dist._lift(1.0))))
-            single = arrays[2].data.type.pointee == FLOAT
-            reach = load(b, at(reach_at, 4 if single else 8), 0, FLOAT8 if single else DOUBLE8)
-            reach = Vec(b, b.fpext(reach, DOUBLE8) if single else reach)
-            known = b.fcmp_ordered("ord", dist.value, dist.value)
-            reach = Vec(b, b.select(known, reach.value, reach._lift(np.nan)))
-            now = load(b, at(time_at, 8), 0, kinds[-1])
-            *of_row_before, then = shifted([x.value, z.value, forward_x.value, forward_z.value, now])
-            last_x, last_z, last_forward_x, last_forward_z = (Vec(b, value) for value in of_row_before)
-            dt = Vec(b, b.sitofp(b.sub(now, then), DOUBLE8)) * 1e-9
+            facing_dot = along.divided_by(floor_dist.where(floor_dist.compare(">", 0.0), 1.0))
+            kind = arrays[2].data.type.pointee
+            reach = load(b, at(reach_at, 4 if kind == FLOAT else 8), 0, ir.VectorType(kind, LANES))
+            reach = Vec(b, b.fpext(reach, DOUBLE8) if kind == FLOAT else reach)
+            reach = reach.where(dist.compare(">=", 0.0), np.nan)
+            now = [x.value, z.value, forward_x.value, forward_z.value, load(b, at(time_at, 8), 0, kinds[-1])]
+            *before, then = (pick(b, b.load(slot), new, range(7, 15)) for slot, new in zip(last, now, strict=True))
+            last_x, last_z, last_forward_x, last_forward_z = (Vec(b, value) for value in before)
+            dt = Vec(b, b.sitofp(b.sub(now[-1], then), DOUBLE8)) * 1e-9
+            for slot, new in zip(last, now, strict=True):
+                b.store(new, slot)
             step_x, step_z = x - last_x, z - last_z
             step = (step_x * step_x + step_z * step_z).unary("sqrt")
-            speed = step.divided_by(dt)
             in_reach = reach.compare(">=", near_m) & reach.compare("<=", far_m)
             facing = along.compare(">", least_facing * floor_dist)
             near = dist.compare("<", avoid_m)
-            ahead = step_x * last_forward_x + step_z * last_forward_z
-            backs_up = near & ahead.compare("<", -still_m_s * dt)
+            backs_up = near & (step_x * last_forward_x + step_z * last_forward_z).compare("<", -still_m_s * dt)
             yields = near & ~backs_up & step.compare("<", yield_m_s * dt)
-            for k, values in enumerate((dist, reach, facing_dot, speed)):
+            for k, values in enumerate((dist, reach, facing_dot, step.divided_by(dt))):
                 store(b, values.value, b.add(at(quantities_at, 8), b.mul(rows, ir.Constant(INT64, 8 * k))))
             for k, mask in enumerate((in_reach, facing, in_reach & facing, near, backs_up, yields)):
-                flags_of_rows = b.zext(mask.value, ir.VectorType(ir.IntType(8), LANES))
-                store(b, flags_of_rows, b.add(at(flags_at, 1), b.mul(rows, ir.Constant(INT64, k))))
-        for k, slot in enumerate(last):
-            store(b, b.extract_element(b.load(slot), ir.Constant(INT, LANES - 1)), before_at, 8 * k)
+                of_rows = b.zext(mask.value, ir.VectorType(ir.IntType(8), LANES))
+                store(b, of_rows, b.add(at(flags_at, 1), b.mul(rows, ir.Constant(INT64, k))))
         return context.get_dummy_value()
 
-    arrays = (robot_pose, human_pose, reach_m, time_ns, before, limits, quantities, flags)
-    return types.void(*arrays, types.intp), codegen
+    arrays = (robot_pose, human_pose, reach_m, time_ns, limits, quantities, flags)
+    return types.void(*arrays, types.intp, types.intp), codegen
 
 
 @kernel(error_model="numpy", boundscheck=False)
@@ -102,7 +87,7 @@ def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quanti
     The operations and their order are those of `encounter_series`, so that the results are equal to the last bit.
 
     Args:
-        robot_pose: poses of the robots, float32 [T, 7], the rows of all episodes after each other.
+        robot_pose: poses of the robots, float32 [T, 7], the rows of all episodes after each other, eight or more.
         human_pose: poses of the people, likewise.
         reach_m: distance between the two agents that counts for following, measured along free paths [T] [m].
         time_ns: times of the rows [T].
@@ -111,20 +96,14 @@ def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quanti
         quantities: filled with dist_m, reach_m, facing_dot and speed_m_s, [4, T].
         flags: filled with in_reach, facing, found, near, backs_up and yields, [6, T].
     """
-    count = len(robot_pose) // LANES
-    before, thresholds = np.full(5, np.nan), np.array(limits)
-    fill_eights(robot_pose, human_pose, reach_m, time_ns, before, thresholds, quantities, flags, count)
-    done, rest = LANES * count, len(robot_pose) - LANES * count
-    if rest:  # as if eight rows were left
-        robots, people = np.zeros((2, LANES, 7), np.float32)
-        reaches, times = np.zeros(LANES, reach_m.dtype), np.zeros(LANES, np.int64)
-        robots[:rest], people[:rest] = robot_pose[done:], human_pose[done:]
-        reaches[:rest], times[:rest] = reach_m[done:], time_ns[done:]
-        last_quantities, last_flags = np.empty((4, LANES)), np.empty((6, LANES), np.bool_)
-        fill_eights(robots, people, reaches, times, before, thresholds, last_quantities, last_flags, 1)
-        quantities[:, done:], flags[:, done:] = last_quantities[:, :rest], last_flags[:, :rest]
+    last, values = len(robot_pose) - LANES, np.array(limits)
+    fill_eights(robot_pose, human_pose, reach_m, time_ns, values, quantities, flags, 0, len(robot_pose) // LANES)
+    # the last eight rows may begin among those before, where the first of them has its velocity already
+    speed, backs_up, yields = quantities[3, last], flags[4, last], flags[5, last]
+    fill_eights(robot_pose, human_pose, reach_m, time_ns, values, quantities, flags, last, 1)
+    quantities[3, last], flags[4, last], flags[5, last] = speed, backs_up, yields
     # the step from the last row of the episode before is no velocity
-    for start in starts[: len(robot_pose)]:  # without rows there is no first one
+    for start in starts:
         quantities[3, start], flags[4, start], flags[5, start] = np.nan, False, False
 
 

@@ -28,15 +28,18 @@ def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) 
     agents = [find_agents(recording) for recording in recordings]
     # all episodes as one long array: NumPy's calls take longer than the arithmetic on one of them
     series, offsets = _joined_series(recordings, agents)
-    touched = series.get("collision", np.zeros(offsets[-1], np.bool_))
-    found, contacts = _occurrences(series["found"], offsets), _occurrences(touched, offsets)
+    found, contacts = (
+        _occurrences(series["found"], offsets),
+        _occurrences(series.get("collision", np.zeros(offsets[-1], np.bool_)), offsets),
+    )
     unseen = _occurrences(np.isnan(series["dist_m"]), offsets)
     # BYR counts both: backing up and standing still near a person
     making_room = _occurrences(series["backs_up"] | series["yields"], offsets)
     computed = []
     for k, (recording, note, (robot, human)) in enumerate(zip(recordings, notes, agents, strict=True)):
-        distance = series["dist_m"][offsets[k] : offsets[k + 1]]
-        episode = _Counted(found[k], contacts[k], unseen[k].total, making_room[k].total, distance)
+        episode = _Counted(
+            found[k], contacts[k], unseen[k].total, making_room[k].total, series["dist_m"][offsets[k] : offsets[k + 1]]
+        )
         computed.append(
             Computed(
                 values=_values(recording, episode, note),
@@ -56,17 +59,15 @@ def social_nav_series(recording: Recording) -> Series:
 
 def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
     """Returns the distance that decides about finding and following [m], shape [T]: geodesic if recorded, else L2."""
-    stored = recording.columns.get(GEODESIC)
-    if stored is not None:
+    if GEODESIC in recording.columns:
         # the same type from either source, so that limits compare alike
-        return stored.astype(np.float32, copy=False)
+        return recording.columns[GEODESIC].astype(np.float32, copy=False)
     return l2_distance(recording, robot, human)
 
 
 def l2_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
     """Returns the straight distance between the base positions of two agents [m], shape [T]; NaN where one is absent."""
-    a = recording.agent_column(robot, "base_pose")[:, :3].astype(np.float64)
-    b = recording.agent_column(human, "base_pose")[:, :3].astype(np.float64)
+    a, b = (recording.agent_column(agent, "base_pose")[:, :3].astype(np.float64) for agent in (robot, human))
     return np.linalg.norm(a - b, axis=1).astype(np.float32)
 
 
@@ -129,12 +130,11 @@ def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_
 
 def _values(recording: Recording, episode: _Counted, notes: Notes) -> dict[str, float]:
     geodesic = recording.columns.get(GEODESIC)
+    by_found = ("S", "SPS", "F", "FD")
     if geodesic is None:
-        text = f"no column {GEODESIC}: 'found' uses the L2 distance, which sees through walls"
-        notes.add(("S", "SPS", "F", "FD"), text)
+        notes.add(by_found, f"no column {GEODESIC}: 'found' uses the L2 distance, which sees through walls")
     elif unknown := int(np.count_nonzero(np.isnan(geodesic))):
-        text = f"{unknown} of {len(recording)} rows have no geodesic distance: not found there"
-        notes.add(("S", "SPS", "F", "FD"), text)
+        notes.add(by_found, f"{unknown} of {len(recording)} rows have no geodesic distance: not found there")
     values = {"CR": _collision(recording, episode, notes)}
     values |= _distances(episode, notes)
     if "S" in values:
@@ -158,10 +158,9 @@ def _collision(recording: Recording, episode: _Counted, notes: Notes) -> float:
         return NAN
     if not episode.contacts.total:
         return 0.0
-    first = episode.contacts.first
     # in the paper a contact ends the episode
-    if first < rows - 1:
-        notes.add(("CR",), f"the recording goes on after the first contact in row {first}")
+    if episode.contacts.first < rows - 1:
+        notes.add(("CR",), f"the recording goes on after the first contact in row {episode.contacts.first}")
     return 1.0
 
 
@@ -171,8 +170,10 @@ def _distances(episode: _Counted, notes: Notes) -> dict[str, float]:
     rows = len(distance)
     count = rows - episode.unseen
     if count == 0:
-        why = "the recording has no rows" if rows == 0 else "no row has a pose of both agents"
-        notes.add(("S", "SPS", "F", "BYR", "TD", "FD"), why)
+        notes.add(
+            ("S", "SPS", "F", "BYR", "TD", "FD"),
+            "no row has a pose of both agents" if rows else "the recording has no rows",
+        )
         return {}
     if episode.unseen:
         notes.add(("S", "BYR", "TD", "FD"), f"{episode.unseen} of {rows} rows lack a pose and are left out")

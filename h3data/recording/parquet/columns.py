@@ -23,13 +23,29 @@ def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[A
     return wide.reshape(steps, column.width)
 
 
+def numbers(array: pa.Array) -> NDArray[Any]:
+    """The numbers or booleans of an Arrow array, read-only.
+
+    `pa.Array.to_numpy` does the same, but imports pandas where it is installed: half a second or more.
+
+    Raises:
+        ValueError: there are nulls.
+    """
+    if array.null_count:
+        raise ValueError("there are nulls")
+    # booleans are stored as bits
+    whole = array.cast(pa.uint8()) if pa.types.is_boolean(array.type) else array
+    dtype = np.dtype(whole.type.to_pandas_dtype())
+    values = np.ndarray(len(whole), dtype, whole.buffers()[1], whole.offset * dtype.itemsize)
+    return values if whole is array else values.view(np.bool_)
+
+
 def to_arrow(rows: NDArray[Any]) -> pa.Array:
     """Rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; copies only booleans."""
     flat = rows.reshape(-1)
-    if flat.dtype == bool:
-        flat = pa.array(flat)
-    else:  # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
-        flat = pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(flat)])
+    # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
+    data = pa.py_buffer(np.packbits(flat, bitorder="little") if flat.dtype == bool else flat)
+    flat = pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, data])
     return flat if rows.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
 
 
@@ -47,9 +63,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
     if pa.types.is_fixed_size_list(stored.type) != (declared.width > 1):
         raise ValueError(f"column {column.name} is not {declared}")
     chunks = [c.flatten() if declared.width > 1 else c for c in stored.chunks]
-    if any(c.null_count for c in chunks):
-        raise ValueError(f"column {column.name} has nulls")
-    values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
+    values = np.concatenate([numbers(c) for c in chunks])
     # a uint64 is stored as an int64 of the same bits, so it is viewed and not converted
     if declared.dtype == "uint64" and values.dtype == np.int64:
         values = values.view(np.uint64)

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.parquet.columns import conform
+from h3data.recording.parquet.columns import conform, numbers
 from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
@@ -224,7 +224,8 @@ class DatasetFolder:
 def _chain_faults(table: pa.Table) -> list[str]:
     """Gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
     index, length, start, end = (
-        table[n].to_numpy() for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")
+        numbers(table[n].combine_chunks())
+        for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")
     )
     faults = []
     if not np.array_equal(index, np.arange(len(index))):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from h3data.recording.file_store import FileStore
-from h3data.recording.parquet.columns import conform
+from h3data.recording.parquet.columns import conform, numbers
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.schema import SIDECARS, record_schema
 from h3data.recording.schema import RECORD_TYPES, STRUCTS
@@ -71,7 +71,7 @@ class DatasetRecords:
                 if len(self._tables) >= 2 * len(SIDECARS):
                     self._tables.pop(next(iter(self._tables)))
                 table = conform(self.table(kind, shard), record_schema(SIDECARS[kind]))
-                self._tables[key] = (table, table["episode_index"].to_numpy())
+                self._tables[key] = (table, numbers(table["episode_index"].combine_chunks()))
             table, owners = self._tables[key]
             # records are sorted by episode, since episodes are only ever appended
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
@@ -129,9 +129,9 @@ def _cells(column: pa.ChunkedArray, kind: str) -> Sequence[Any]:
     lists = column.combine_chunks()
     flat = lists.flatten()
     # lengths and not offsets, because those of a slice do not begin at 0
-    ends = np.cumsum(lists.value_lengths().to_numpy(zero_copy_only=False)).tolist()
+    ends = np.cumsum(numbers(lists.value_lengths())).tolist()
     if kind == "float*":
-        values: Any = np.array(flat.to_numpy(zero_copy_only=False), np.float32)
+        values: Any = np.array(numbers(flat), np.float32)
     elif flat.null_count:
         raise ValueError(f"a list of {kind[:-1]} values has nulls")
     else:

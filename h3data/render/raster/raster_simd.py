@@ -8,7 +8,20 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from h3data.kernels.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, opaque, splat, store
+from h3data.kernels.vectors import (
+    INT,
+    INT8,
+    LANES,
+    Vec,
+    fma,
+    intrinsic,
+    lanes,
+    load,
+    opaque,
+    splat,
+    spread,
+    store,
+)
 
 NEAR_M = 0.02
 """Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
@@ -105,8 +118,8 @@ def _largest(v: list[Vec]) -> Vec:
 
 def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at: Any, *, parallel: bool) -> Any:
     """See `setup_triangles`."""
-    m = [Vec(b, splat(b, load(b, matrix_at, 4 * k, FLOAT))) for k in range(12)]
-    screen = [Vec(b, splat(b, load(b, screen_at, 4 * k, FLOAT))) for k in range(SCREEN_WORDS)]
+    m = [spread(b, matrix_at, k) for k in range(12)]
+    screen = [spread(b, screen_at, k) for k in range(SCREEN_WORDS)]
     center_x, center_y, width, height = screen
     x: list[Vec] = []
     y: list[Vec] = []

@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from h3data.kernels.vectors import FLOAT, FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
+from h3data.kernels.vectors import FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, spread, store
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
@@ -54,12 +54,8 @@ def _dot(a: Triple, b: Triple) -> Vec:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _word(b: Any, address: Any, word: int) -> Vec:
-    return Vec(b, splat(b, load(b, address, 4 * word, FLOAT)))
-
-
 def _triple(b: Any, address: Any, word: int) -> Triple:
-    return _word(b, address, word), _word(b, address, word + 1), _word(b, address, word + 2)
+    return spread(b, address, word), spread(b, address, word + 1), spread(b, address, word + 2)
 
 
 def _row(b: Any, address: Any, row: int) -> Vec:
@@ -74,10 +70,6 @@ def _constant(b: Any, value: float) -> Vec:
     return Vec(b, ir.Constant(FLOAT8, [value] * LANES))
 
 
-def _select(b: Any, mask: Any, yes: Vec, no: Vec) -> Vec:
-    return Vec(b, b.select(mask.value, yes.value, no.value))
-
-
 def _any_positive(b: Any, *values: Vec) -> Any:
     """Returns whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
     least = functools.reduce(Vec.minimum, values)
@@ -85,12 +77,9 @@ def _any_positive(b: Any, *values: Vec) -> Any:
 
 
 def _normal(b: Any, strip_at: Any, row_bytes: Any) -> Triple:
-    at = b.add(strip_at, b.mul(row_bytes, ir.Constant(row_bytes.type, 3)))
-    rows = []
-    for _ in range(3):
-        rows.append(Vec(b, load(b, at)))
-        at = b.add(at, row_bytes)
-    return rows[0], rows[1], rows[2]
+    rows = (b.mul(row_bytes, ir.Constant(row_bytes.type, 3 + axis)) for axis in range(3))
+    x, y, z = (Vec(b, load(b, b.add(strip_at, row))) for row in rows)
+    return x, y, z
 
 
 _p = types.uintp
@@ -105,7 +94,7 @@ def begin_block(typing_context, rays_at, near_at, scratch_at):
         z = Vec(b, load(b, near_at)).maximum(1e-9).reciprocal()
         for a in range(3):
             origin, direction = (
-                _word(b, rays_at, first + 2 * a) + _word(b, rays_at, first + 2 * a + 1) * lanes(b)
+                spread(b, rays_at, first + 2 * a) + spread(b, rays_at, first + 2 * a + 1) * lanes(b)
                 for first in (ORIGIN, DIRECTION)
             )
             _keep(b, origin + direction * z, scratch_at, POSITION + a)
@@ -124,9 +113,9 @@ def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
 
 def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
     """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
-    own = Vec(b, load(b, owners_at)).compare("==", _word(b, blocker_at, GROUP))
+    own = Vec(b, load(b, owners_at)).compare("==", spread(b, blocker_at, GROUP))
     # 1 - taken: vectors have no number on the left of an operator
-    left = _select(b, own, _constant(b, 1.0), -(taken - 1.0))
+    left = (-(taken - 1.0)).where(~own, 1.0)
     _keep(b, _row(b, scratch_at, row) * left, scratch_at, row)
 
 
@@ -140,16 +129,16 @@ def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, 
     def codegen(context, b, signature, arguments):
         blocker_at, strip_at, row_bytes, owners_at, scratch_at = arguments
         normal, along = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, ALONG)
-        radius2, from_start = _word(b, blocker_at, RADIUS2), _from_start(b, blocker_at, scratch_at)
-        s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
+        radius2, from_start = spread(b, blocker_at, RADIUS2), _from_start(b, blocker_at, scratch_at)
+        s = (_dot(from_start, along) * spread(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         # inside of a capsule, as where a foot sinks into a carpet, its surface is the nearest that it gets
         distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
-        window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
+        window = (-(distance2 * distance2 * spread(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
         towards = _dot(normal, (x, y, z)).maximum(0.0)
         with b.if_then(_any_positive(b, window, towards)):
             per_distance, one = distance2.unary("sqrt").reciprocal(), _constant(b, 1.0)
-            radius, length = _word(b, blocker_at, RADIUS), _word(b, blocker_at, LENGTH)
+            radius, length = spread(b, blocker_at, RADIUS), spread(b, blocker_at, LENGTH)
             before, after = length * s + radius, length * (-(s - 1.0)) + radius
             covered = ((before * per_distance).minimum(1.0) + (after * per_distance).minimum(1.0)) * 0.5
             facing = towards * per_distance
@@ -167,24 +156,24 @@ def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
     def codegen(context, b, signature, arguments):
         blocker_at, owners_at, scratch_at = arguments
         along, light = (_triple(b, blocker_at, word) for word in (ALONG, LIGHT))
-        to_light, radius = _word(b, blocker_at, ALONG_LIGHT), _word(b, blocker_at, RADIUS)
+        to_light, radius = spread(b, blocker_at, ALONG_LIGHT), spread(b, blocker_at, RADIUS)
         from_start = _from_start(b, blocker_at, scratch_at)
         beside, ahead = _dot(from_start, along), _dot(from_start, light)
-        s = ((beside - ahead * to_light) * _word(b, blocker_at, PER_ACROSS2)).maximum(0.0).minimum(1.0)
+        s = ((beside - ahead * to_light) * spread(b, blocker_at, PER_ACROSS2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         away = s * to_light - ahead
         off2 = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0)
         # at least 1 cm, because it is a divisor below
         disc = (away * SPREAD).maximum(0.01)
-        touching, left = disc + radius, _word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away
+        touching, left = disc + radius, spread(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away
         # a little more than where the discs touch, so that rounding never leaves a pixel out
         close = touching * touching * 1.0001 - off2
         with b.if_then(_any_positive(b, away, left, close)):
-            off, per_radius, per_disc = off2.unary("sqrt"), _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
+            off, per_radius, per_disc = off2.unary("sqrt"), spread(b, blocker_at, PER_RADIUS), disc.reciprocal()
             step = ((touching - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
             # the smooth step 3 s^2 - 2 s^3
             overlap = step * step * (-(step * 2.0 - 3.0))
-            wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
+            wide = (spread(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
             most = (radius * per_disc * wide).minimum(1.0)
             onset = (away * (per_radius * 2.0)).maximum(0.0).minimum(1.0)
             fade = (left * (1 / FADE_M)).maximum(0.0).minimum(1.0)
@@ -203,7 +192,7 @@ def end_group_block(typing_context, blocker_at, strip_at, row_bytes, scratch_at)
         taken = [-(_row(b, scratch_at, row) - 1.0) for row in (DIRECTED, AMBIENT)]
         with b.if_then(_any_positive(b, taken[0].maximum(taken[1]))):
             normal, light = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, LIGHT)
-            share = _word(b, blocker_at, SHARE)
+            share = spread(b, blocker_at, SHARE)
             directed = share * _dot(normal, light).maximum(0.0)
             other = (-(share - 1.0)) * 0.25
             directed = directed.divided_by((directed + other).maximum(1e-6))
@@ -225,7 +214,7 @@ def dim_levels_block(typing_context, near_at, strip_at, row_bytes, scratch_at):
         near_at, strip_at, row_bytes, scratch_at = arguments
         some = _row(b, scratch_at, LEFT)
         with b.if_then(_any_positive(b, -(some - 1.0))):
-            left = _select(b, Vec(b, load(b, near_at)).compare(">", 0.0), some, _constant(b, 1.0))
+            left = some.where(Vec(b, load(b, near_at)).compare(">", 0.0), 1.0)
             for _ in range(3):
                 level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
                 store(b, b.fptosi((level * left).value, INT8), strip_at)

@@ -21,6 +21,7 @@ from h3data.kernels.vectors import (
     load,
     pick,
     splat,
+    spread,
     store,
 )
 
@@ -40,20 +41,12 @@ NOWHERE = 1e-3
 """Weight of "not occluded", which decides where none of the neighbouring coarse pixels lies on the pixel's surface."""
 
 
-def _word(b: Any, address: Any, word: int) -> Vec:
-    return Vec(b, splat(b, load(b, address, 4 * word, FLOAT)))
-
-
-def _select(b: Any, condition: Any, yes: Vec, no: Vec) -> Vec:
-    return Vec(b, b.select(condition.value, yes.value, no.value))
-
-
 def _slope(b: Any, before2: Vec, before: Vec, middle: Vec, after: Vec, after2: Vec) -> Vec:
     """Step of 1/z to the next pixel, taken from the side on which the surface bends less."""
     left, right = middle - before, after - middle
     bend_left = (left - (before - before2)).unary("fabs")
     bend_right = ((after2 - after) - right).unary("fabs")
-    return _select(b, bend_left.compare("<=", bend_right), left, right)
+    return left.where(bend_left.compare("<=", bend_right), right)
 
 
 def _emit_occlusion(
@@ -72,11 +65,11 @@ def _emit_occlusion(
     slope_y = _slope(b, *(inv_z(0, k) for k in range(-2, 3)))
 
     # The surface's plane over the ray (u, v, 1): 1/z = a u + b v + c. Its distance from the eye is 1 / |(a, b, c)|.
-    fx, fy = _word(b, table_at, FOCAL_X), _word(b, table_at, FOCAL_Y)
+    fx, fy = spread(b, table_at, FOCAL_X), spread(b, table_at, FOCAL_Y)
     px = lanes(b) + Vec(b, splat(b, b.uitofp(x, FLOAT)))
     py = Vec(b, splat(b, b.uitofp(y, FLOAT)))
     per_fx, per_fy = fx.reciprocal(), fy.reciprocal()
-    u, v = (px - _word(b, table_at, CENTER_X)) * per_fx, (py - _word(b, table_at, CENTER_Y)) * per_fy
+    u, v = (px - spread(b, table_at, CENTER_X)) * per_fx, (py - spread(b, table_at, CENTER_Y)) * per_fy
     plane_u, plane_v = slope_x * fx, slope_y * fy
     plane_1 = near - plane_u * u - plane_v * v
     squared = fma(plane_u, plane_u, fma(plane_v, plane_v, plane_1 * plane_1)).maximum(1e-18)
@@ -85,13 +78,13 @@ def _emit_occlusion(
     eye_x, eye_y = u * z, v * z
 
     # The disc of taps has a fixed radius in metres, bounded by its size in the image.
-    radius = _word(b, table_at, RADIUS)
-    radius = radius.minimum(_word(b, table_at, NEAR_RADIUS) * z)
+    radius = spread(b, table_at, RADIUS)
+    radius = radius.minimum(spread(b, table_at, NEAR_RADIUS) * z)
     reach_x, reach_y = radius * fx * near, radius * fy * near
     per_radius2 = (radius * radius).reciprocal()
-    bias = z * _word(b, table_at, BIAS_PER_Z) + BIAS_M
+    bias = z * spread(b, table_at, BIAS_PER_Z) + BIAS_M
     offsets_at = b.add(table_at, b.mul(b.and_(y, ir.Constant(x.type, 3)), ir.Constant(x.type, 4 * ROW_OFFSETS)))
-    last_x, last_y = _word(b, table_at, LAST_X), _word(b, table_at, LAST_Y)
+    last_x, last_y = spread(b, table_at, LAST_X), spread(b, table_at, LAST_Y)
     row_words = splat(b, b.trunc(row, INT), INT8)
     total = Vec(b, ir.Constant(FLOAT8, [0.0] * LANES))
     for k in range(TAPS):
@@ -110,12 +103,11 @@ def _emit_occlusion(
         # falls to 0 at the radius, so that a surface does not begin to occlude with a step
         within = (-(apart2 * per_radius2 - 1.0)).maximum(0.0)
         total = fma((rise - bias).maximum(0.0) * within, (apart2 + 1e-6).unary("sqrt").reciprocal(), total)
-    amount = (total * _word(b, table_at, GAIN)).maximum(0.0)
+    amount = (total * spread(b, table_at, GAIN)).maximum(0.0)
     amount = amount.divided_by(
         amount + 1.0
     )  # compressed, so that thin objects on the floor still show beside deep corners
-    nothing = Vec(b, ir.Constant(FLOAT8, [0.0] * LANES))
-    amount = _select(b, near.compare(">", 0.0), amount, nothing)
+    amount = amount.where(near.compare(">", 0.0), 0.0)
     at = b.add(planes_at, offset)
     for value in (slope_x, slope_y, distance * z * (1 / SAME_SURFACE_M), amount):
         store(b, value.value, at)

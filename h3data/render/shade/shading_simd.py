@@ -8,7 +8,6 @@ from llvmlite import ir
 from numba import types
 
 from h3data.kernels.vectors import (
-    FLOAT,
     FLOAT8,
     INT,
     INT8,
@@ -21,6 +20,7 @@ from h3data.kernels.vectors import (
     load,
     pick,
     splat,
+    spread,
     store,
 )
 from h3data.render.shade.textures_simd import level_of_detail, texel
@@ -57,12 +57,12 @@ def _dot(a: list[Vec], b: list[Vec]) -> Vec:
 
 def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
     """``count`` words starting at ``first``, each broadcast to all lanes."""
-    return [Vec(b, splat(b, load(b, address, 4 * (first + a), FLOAT))) for a in range(count)]
+    return [spread(b, address, first + a) for a in range(count)]
 
 
 def _linear(b: Any, block_at: Any, first: int) -> Vec:
     """A quantity that is linear in x, at 8 pixels."""
-    start, step = (Vec(b, splat(b, load(b, block_at, 4 * (first + k), FLOAT))) for k in range(2))
+    start, step = (spread(b, block_at, first + k) for k in range(2))
     return fma(step, lanes(b), start)
 
 
@@ -219,9 +219,9 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
         # the ray mirrored at the surface: r - 2 (r . n) n
         x, y, side = (fma(facing * 2.0, n, r) for n, r in zip(normal, ray, strict=True))
         zero = x * 0.0
-        sideways = Vec(b, b.select(x.compare(">", 0.0).value, from_east.value, from_west.value))
-        forward = Vec(b, b.select(side.compare(">", 0.0).value, from_south.value, from_north.value))
-        upward = Vec(b, b.select(y.compare(">", 0.0).value, above.value, zero.value))
+        sideways = from_east.where(x.compare(">", 0.0), from_west)
+        forward = from_south.where(side.compare(">", 0.0), from_north)
+        upward = above.where(y.compare(">", 0.0), zero)
         mirrored = fma(x * x, sideways, fma(y * y, upward, side * side * forward)).maximum(0.0)
         rest = -(facing - 1.0)
         fourth = rest * rest * rest * rest

@@ -81,8 +81,7 @@ def _place(b: Any, coordinate: Vec, size: Any) -> tuple[Any, Vec]:
     count = Vec(b, splat(b, b.sitofp(size, FLOAT)))
     # texels have their centres at halves
     place = fma(coordinate - coordinate.unary("floor"), count, -0.5)
-    before = place.compare("<", 0.0)
-    place = Vec(b, b.select(before.value, (place + count).value, place.value))
+    place = (place + count).where(place.compare("<", 0.0), place)
     texel_before = place.unary("floor").maximum(0.0).minimum(count - 1.0)  # within the texture even for NaN
     return b.fptosi(texel_before.value, INT8), place - texel_before
 
