@@ -23,6 +23,17 @@ UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
 """Settings of social navigation that have no meaning for skills."""
 
 
+def check_skill(skill: str) -> Skill:
+    """Return the name of a skill.
+
+    Raises:
+        InputError: There is no such skill.
+    """
+    if skill not in SKILL_NAMES:
+        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
+    return skill  # type: ignore[return-value]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SkillSettings(Settings):
     """Settings of a run of one skill, in which no other agent is present."""
@@ -173,14 +184,3 @@ def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
         )
     assert set(RECIPES[name]) == set(SKILL_NAMES)
     return replace(RECIPES[name][check_skill(skill)], **{k: v for k, v in changes.items() if v is not None})
-
-
-def check_skill(skill: str) -> Skill:
-    """Return the name of a skill.
-
-    Raises:
-        InputError: There is no such skill.
-    """
-    if skill not in SKILL_NAMES:
-        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
-    return skill  # type: ignore[return-value]

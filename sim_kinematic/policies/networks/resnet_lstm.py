@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from h3data.geometry import Array
 from sim_kinematic.policies.visual_policy import (
     PICTURES,
-    Floats,
     PolicyCard,
     VisualPolicy,
     number_count,
@@ -158,11 +158,11 @@ class ResNetPolicy(VisualPolicy):
 
     kind = "resnet18_lstm"
 
-    def start(self) -> Floats:
+    def start(self) -> Array:
         """Return the recurrent state at the start of an episode [H]."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
-    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
+    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Array, state: Array) -> tuple[Array, Array]:
         """Return the action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = (
@@ -181,7 +181,7 @@ class ResNetPolicy(VisualPolicy):
         return net.eval()
 
     @classmethod
-    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
         """Return shapes of all weights by name, for the sizes in a card."""
         # on the device "meta" a network has shapes and no numbers, so a card with huge sizes costs no memory
         with torch.device("meta"):
@@ -194,7 +194,7 @@ class ResNetPolicy(VisualPolicy):
         return "" if all(8 <= side <= 1024 for side in size) else "sides of 8 to 1024"
 
 
-def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
+def _net(card: PolicyCard, arrays: Mapping[str, Array]) -> ResNetLSTM:
     """Return an untrained network with the widths of the arrays; for arrays that are missing, with the least widths."""
 
     def rows(name: str, other: int) -> int:
