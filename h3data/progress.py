@@ -13,6 +13,8 @@ from h3data.terminal import printable
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+LINE_EVERY_S = 30.0
+"""Seconds between two lines off a terminal; shorter work prints none."""
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 _shown = False
@@ -84,10 +86,8 @@ def progress(
     form = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
     if total is not None:
         form = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
-    # seconds between two lines off a terminal; shorter work prints none
-    line_every_s = 30.0
     # miniters: else tqdm guesses how many units make a line, and a line comes late where they become slower
-    every = {"mininterval": line_every_s, "miniters": 1, "delay": line_every_s}
+    every = {"mininterval": LINE_EVERY_S, "miniters": 1, "delay": LINE_EVERY_S}
     return _lines_bar()(items, **every, leave=False, bar_format=form, **shared)
 
 

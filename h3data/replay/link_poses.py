@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 BLOCK_STEPS = 256
 """Steps whose poses are computed together."""
+BLOCKS_KEPT = 16
 
 
 class LinkPoses:
@@ -21,9 +22,8 @@ class LinkPoses:
     def __init__(self, pose: Callable[[NDArray[np.integer]], NDArray[np.floating]], steps: int, links: int) -> None:
         """``pose`` gives the matrices [t, L, 4, 4] at steps [t]."""
         self._pose, self._steps, self._links = pose, steps, links
-        blocks_kept = 16
         # threads render neighbouring steps, which lie in few blocks
-        self._block = lru_cache(maxsize=blocks_kept)(self._pose_block)
+        self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
 
     def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:
         """Matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""

@@ -27,6 +27,8 @@ RUN_POLICY = "policy.npz"
 """The policy file in the folder of a training run."""
 PLANES = ".planes"
 """Ending of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
+MAX_BYTES = 256 << 20
+"""Size of arrays above which a file is refused [bytes]."""
 Activation = Literal["tanh", "relu"]
 
 
@@ -244,15 +246,13 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
         InputError: There is no such file.
         FormatError: The file is no file of weights, is too large or damaged.
     """
-    # size of arrays above which a file is refused [bytes]
-    max_bytes = 256 << 20
     try:
         # before anything is unpacked: a small file may unpack to any size
         with zipfile.ZipFile(path) as packed:
             size = sum(entry.file_size for entry in packed.infolist())
-        if size > max_bytes:
+        if size > MAX_BYTES:
             raise FormatError(
-                f"Expected at most {max_bytes >> 20} MiB of weights, got {size >> 20} MiB. File: {path}",
+                f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}",
                 code="H3-POLICY-028",
             )
         # pickles would run code of whoever made the file

@@ -39,6 +39,8 @@ class Thresholds:
 
 PAPER = Thresholds()
 
+MANY_ROWS = 3_000_000
+"""Rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
 _measured_rows = 0
 
 
@@ -82,12 +84,10 @@ def encounter_series(
     """
     global _measured_rows
     _measured_rows += len(robot_pose)
-    # rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length
-    many_rows = 3_000_000
     # other types would compile another version of the kernel, which takes eight rows at a time
     if (
         len(robot_pose) >= 8
-        and ("numba" in sys.modules or _measured_rows > many_rows)
+        and ("numba" in sys.modules or _measured_rows > MANY_ROWS)
         and robot_pose.dtype == human_pose.dtype == np.float32
     ):
         return _compiled_series(robot_pose, human_pose, reach_m, time_ns, starts, thresholds)

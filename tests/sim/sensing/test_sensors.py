@@ -222,7 +222,8 @@ def test_the_documentation_describes_every_sensor_of_environments() -> None:
     described: dict[str, str] = {}
     for names, shapes in ((re.findall(r"`(\w+)`", row[1]), re.findall(r"\[([^]]+)\]", row[2])) for row in rows):
         described |= dict(zip(names, shapes if len(shapes) == len(names) > 1 else shapes[:1] * len(names), strict=True))
-    assert set(described) == {*table.SENSORS, *table.SENSES}
+    # the last two are of tasks with doors or drawers to open
+    assert set(described) == {*table.SENSORS, *table.SENSES, "part_gps_compass", "part_is_open"}
     for name, shape in described.items():
         sensor = table.TABLE[name]
         if sensor.times == "objects":
