@@ -182,10 +182,9 @@ class Choices:
 
         base = dataset_rules(self.found_task) if base is None else base
         if self.oracle:
-            from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
+            from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
-            of_skills = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
-            base = replace(base, **{name: getattr(ORACLE_RULES, name) for name in of_skills})
+            base = with_oracle_skills(base)
         overrides = {name: rule_value(base, name, value) for name, value in self.overrides}
         for name, option in (("max_steps", "max_steps"), ("spawn_distance_m", "spawn_distance")):
             if (asked := getattr(self, option)) is None:
