@@ -87,6 +87,11 @@ class AssignedPolicy(NamedTuple):
         """Return whether somebody outside decides, now or in the recording that is played again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
+    @property
+    def takes_agent_view(self) -> bool:
+        """Return whether the policy is shown an `AgentView` in every task, also where others get a view of their own."""
+        return bool(getattr(self.policy, "takes_agent_view", False))
+
 
 def is_address(name: str) -> bool:
     """Return whether the name of a policy is the address of a policy server."""

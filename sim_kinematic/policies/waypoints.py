@@ -33,6 +33,8 @@ class WaypointPolicy(WaypointHuman):
 class WanderPolicy:
     """Robot or person that goes from one random point to another and avoids the others (`sim_kinematic.policies.traffic`)."""
 
+    takes_agent_view = True
+
     def __init__(self, free: FreeSpace, seed: int, walker: WalkerSpec) -> None:
         self._goals = WaypointHuman(free, seed, walker)
         self._going: Skill | None = None

@@ -28,7 +28,7 @@ from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
 from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS
 from sim_kinematic.policies.views import SocialNavView
-from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
+from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_base, agent_floor
@@ -149,8 +149,8 @@ class SocialNav(Task):
         return None
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Return the observation of a policy: a `SocialNavView` for the robot, an `AgentView` for who walks or wanders."""
-        if agent != ROBOT or (play.policies and isinstance(play.policies[ROBOT].policy, WanderPolicy)):
+        """Return the observation of a policy: a `SocialNavView` for the robot, unless its policy takes an `AgentView`."""
+        if agent != ROBOT or (play.policies and play.policies[ROBOT].takes_agent_view):
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
         robot, person = play.world.state.agents
