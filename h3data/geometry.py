@@ -60,6 +60,14 @@ def smoothstep(share: Share) -> Share:
     return share * share * (3 - 2 * share)
 
 
+def minimum_jerk(share: Share) -> Share:
+    """Returns the share of a way at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
+
+    It is the minimum-jerk profile of Flash and Hogan (1985).
+    """
+    return share**3 * (10 - 15 * share + 6 * share * share)
+
+
 def add_up(values: Iterable[float]) -> float:
     """Sum from left to right, 0.0 of none, of the same bits on all versions of Python: since 3.12, `sum` rounds otherwise."""
     return reduce(operator.add, values, 0.0)

@@ -28,6 +28,7 @@ from h3data.geometry import (
     Array,
     ground_pose,
     heading_from_quat,
+    minimum_jerk,
     pose_inverse,
     pose_to_matrix,
     quat_from_heading,
@@ -451,6 +452,17 @@ def _is_chore(event: Event) -> bool:
     return event.kind == "activity" and event.target in CHORES
 
 
+class _Follow(NamedTuple):
+    """Steps during which a thing is where hands are."""
+
+    number: int
+    hand: int
+    """Left 0, right 1, both 2."""
+    held: slice
+    stays: bool = True
+    """True if the thing lies afterwards where it was last held; False if it is nowhere then."""
+
+
 class _Acting:
     """Motion of one person through a recording."""
 
@@ -473,7 +485,7 @@ class _Acting:
         self.skills: list[SkillSpan] = []
         self.holds: tuple[str, int, int] | None = None
         """Kind, number and hand (2: both) of what the person holds."""
-        self._follows: list[tuple[int, int, int, int]] = []
+        self._follows: list[_Follow] = []
 
     def play(self) -> None:
         """Moves the person through all chores, one after another."""
@@ -564,7 +576,7 @@ class _Acting:
             self._lean(rows, poses, poses, np.zeros(len(t)), lean)
         self.shares[rows, slice(None) if hand == 2 else slice(hand, hand + 1)] = 1 - _ramp(t, 2.9, 3.8)[:, None]
         free = rows.start + int(np.searchsorted(t, 1.7))
-        self._follows.append((number, hand, self._grasped, free))
+        self._follows.append(_Follow(number, hand, slice(self._grasped, free)))
         self._tell(free, "puts", number, rows, event)
         self.holds = None
 
@@ -572,7 +584,7 @@ class _Acting:
         shown = slice(rows.start + 20, max(rows.stop - 20, rows.start + 20))
         self._new("phone", "phone", PHONE_M, np.full(3, np.nan), IDENTITY_POSE)
         self.things[-1].poses[:] = np.nan
-        self._follows.append((len(self.things) - 1, 1, shown.start, -shown.stop))
+        self._follows.append(_Follow(len(self.things) - 1, 1, shown, stays=False))
 
     # --- parts of chores -------------------------------------------------------------------------------------------------
     def _since(self, rows: slice) -> tuple[Array, Array]:
@@ -634,7 +646,7 @@ class _Acting:
         else:
             self.palms[rows, hand], self.shares[rows, hand] = self.carry[hand], 1.0
         if end == len(self.seconds):
-            self._follows.append((number, hand, self._grasped, end))
+            self._follows.append(_Follow(number, hand, slice(self._grasped, end)))
 
     def _bend(self) -> None:
         """Bends the arms so that the palms are where they should be, and moves what they hold."""
@@ -664,21 +676,20 @@ class _Acting:
             ],
             1,
         )
-        for number, hand, start, end in self._follows:
-            poses, until = self.things[number].poses, abs(end)
-            poses[start:until, :3] = world[start:until].mean(1) if hand == 2 else world[start:until, hand]
-            poses[start:until, 3:] = quat_from_heading(heading_from_quat(self.base[start:until, 3:]))
+        for number, hand, held, stays in self._follows:
+            poses = self.things[number].poses
+            poses[held, :3] = world[held].mean(1) if hand == 2 else world[held, hand]
+            poses[held, 3:] = quat_from_heading(heading_from_quat(self.base[held, 3:]))
             if hand == 2:
-                ahead = np.tile([GRIP_BACK_M, 0.0, 0.0], (until - start, 1))
-                poses[start:until, :3] += quat_rotate(poses[start:until, 3:], ahead)
-            if 0 < end < len(poses):
-                poses[end:] = poses[end - 1]
+                ahead = np.tile([GRIP_BACK_M, 0.0, 0.0], (held.stop - held.start, 1))
+                poses[held, :3] += quat_rotate(poses[held, 3:], ahead)
+            if stays and held.stop < len(poses):
+                poses[held.stop :] = poses[held.stop - 1]
 
 
 def _ramp(t: Array, start: float, end: float) -> Array:
     """Shares [T] of a movement between two times, from 0 to 1 with the minimum-jerk profile."""
-    u = np.clip((t - start) / (end - start), 0.0, 1.0)
-    return u**3 * (10 - 15 * u + 6 * u * u)
+    return minimum_jerk(np.clip((t - start) / (end - start), 0.0, 1.0))
 
 
 def _mixed(one: Array, other: Array, share: Array) -> Array:

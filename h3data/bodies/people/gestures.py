@@ -16,7 +16,7 @@ from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
 from h3data.bodies.people.legs import SIDES, X, rotation
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, quat_from_matrix, quat_multiply, quat_nlerp
+from h3data.geometry import IDENTITY_POSE, Array, minimum_jerk, quat_from_matrix, quat_multiply, quat_nlerp
 
 if TYPE_CHECKING:
     from h3data.bodies.people.humanoid import Humanoid
@@ -100,8 +100,7 @@ def wrists_at(gesture: Gesture, seconds: ArrayLike) -> Array:
     for side, keys in enumerate((gesture.left, gesture.right)):
         at = (seconds / gesture.seconds % 1.0) * len(keys)
         k = np.minimum(at.astype(np.intp), len(keys) - 1)
-        u = at - k
-        share = (u**3 * (10 - 15 * u + 6 * u * u))[:, None]
+        share = minimum_jerk(at - k)[:, None]
         used = [key for key in keys if key is not None]
         # a hand that is not used stays at the place of the nearest movement, so that only its weight changes
         places = np.array([[*(key or (used or [(0.6, -0.5, 0.0)])[0]), float(key is not None)] for key in keys])
