@@ -11,9 +11,7 @@ The one definition of "found" for the paper's metrics and whatever follows it; h
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,11 +118,13 @@ def _compiled_series(
     starts: NDArray[np.int64] | int,
     limits: Thresholds,
 ) -> dict[str, NDArray]:
+    from h3data.metrics.paper.encounter_kernel import fill_series
+
     rows = len(robot_pose)
     measured = ("dist_m", "reach_m", "facing_dot", "speed_m_s")
     flagged = ("in_reach", "facing", "found", "near", "backs_up", "yields")
     quantities, flags = np.empty((len(measured), rows)), np.empty((len(flagged), rows), np.bool_)
-    _kernel()(
+    fill_series(
         np.ascontiguousarray(robot_pose),
         np.ascontiguousarray(human_pose),
         np.ascontiguousarray(reach_m, None if reach_m.dtype == np.float32 else np.float64),
@@ -135,13 +135,6 @@ def _compiled_series(
         flags,
     )
     return dict(zip((*measured, *flagged), (*quantities, *flags), strict=True))
-
-
-@cache
-def _kernel() -> Callable[..., None]:
-    from h3data.metrics.paper.encounter_kernel import fill_series
-
-    return fill_series
 
 
 def _components(pose: NDArray[np.float32]) -> NDArray[np.float64]:

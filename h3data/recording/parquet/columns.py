@@ -63,6 +63,8 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
     if pa.types.is_fixed_size_list(stored.type) != (declared.width > 1):
         raise ValueError(f"column {column.name} is not {declared}")
     chunks = [c.flatten() if declared.width > 1 else c for c in stored.chunks]
+    if any(c.null_count for c in chunks):
+        raise ValueError(f"column {column.name} has nulls")
     values = np.concatenate([numbers(c) for c in chunks])
     # a uint64 is stored as an int64 of the same bits, so it is viewed and not converted
     if declared.dtype == "uint64" and values.dtype == np.int64:
