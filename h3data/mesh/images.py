@@ -42,7 +42,7 @@ def image_size(data: bytes | memoryview) -> tuple[int, int]:
 
 
 def largest_side(sizes: list[tuple[int, int]]) -> int:
-    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into `MAX_FILE_PX`."""
+    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into 512 MiB."""
     side = MAX_SIDE_PX
     # limit of texels in all images of one file (512 MiB): beyond it, the largest are reduced until they fit
     max_file_px = 1 << 27

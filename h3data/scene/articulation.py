@@ -109,11 +109,7 @@ def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def joints_of(scene: Scene) -> SceneJoints:
     """The joints of a scene, collected once."""
-    if scene.articulations:
-        return _collected(scene)
-    return SceneJoints(
-        names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
-    )
+    return _collected(scene) if scene.articulations else _NONE
 
 
 @lru_cache(maxsize=64)
@@ -133,6 +129,11 @@ def _collected(scene: Scene) -> SceneJoints:
         owner={name: k for k, (_, part) in enumerate(parts) for name in part.instances},
         enclosing=enclosing,
     )
+
+
+_NONE = SceneJoints(
+    names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
+)
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:

@@ -54,7 +54,9 @@ from h3data.scene.scene_json import (
 )
 from h3data.srgb import bytes_to_linear
 
-FORMAT_NAME = "h3data.scene"
+FORMAT_NAME, FORMAT_VERSION = "h3data.scene", (1, 3)
+"""Name and version (major, minor) of the format. A reader refuses a newer major version and ignores unknown fields. 1.1 added
+textures, 1.2 articulated things, 1.3 stairs; a file without the last two is of 1.1, the same bytes as before."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 
@@ -251,14 +253,11 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
             f"Hint: h3data.open reads other GLBs and Habitat's scenes. File: {where}",
             code="H3-SCENE-048",
         )
-    # major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures, 1.2
-    # articulated things, 1.3 stairs; a file without the last two is of 1.1, the same bytes as before.
-    format_version = (1, 3)
     try:
         major = int(record["version"][0])
-        if major > format_version[0]:
+        if major > FORMAT_VERSION[0]:
             raise FormatError(
-                f"The scene has format version {major}, this h3data reads up to {format_version[0]}. "
+                f"The scene has format version {major}, this h3data reads up to {FORMAT_VERSION[0]}. "
                 f"Hint: upgrade h3data. File: {where}",
                 code="H3-SCENE-052",
             )

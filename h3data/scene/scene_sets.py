@@ -21,7 +21,7 @@ from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.plugins import names_from_data
 from h3data.scene.sources import SCENES, SceneFile, SceneGenerator, SceneSource
 
-SUFFIX = ".toml"
+FORMAT, SUFFIX = 1, ".toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,9 +207,8 @@ def read_scene_set(path: str | Path) -> SceneSet:
 
 def _header_faults(content: _SetFile) -> Iterable[str]:
     rules = content.social_nav
-    version = 1
-    if content.format != version:
-        yield f"format: expected {version}, got {content.format}."
+    if content.format != FORMAT:
+        yield f"format: expected {FORMAT}, got {content.format}."
     if not content.name or "/" in content.name or "/" in content.split:
         yield f"name, split: expected words without '/', got {content.name!r}, {content.split!r}."
     if not content.scenes:

@@ -32,6 +32,8 @@ HANDS: tuple[Hand, ...] = ("left", "right")
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
 """A hand that carries something is held out where this much room is around its palm, and close to the body where only this
 much is: hand and object reach 8 to 10 cm beyond the palm."""
+FAN, ONWARD = np.linspace(-1.0, 1.0, 9) * 1.2, np.array([0.25, 0.5, 0.75])
+"""Turns of the body [rad], and distances straight ahead [m], that are looked ahead."""
 
 
 @kernel(error_model="numpy")
@@ -173,10 +175,6 @@ def held_close(
     ``hand`` is where the hand is when held out: ahead of the body and to its right [m]. They look ahead as far as the arm
     needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
     """
-    # turns of the body [rad] that are looked ahead
-    fan = np.linspace(-1.0, 1.0, 9) * 1.2
-    # distances [m] straight ahead that are looked ahead
-    onward = np.array([0.25, 0.5, 0.75])
     return _held_close(
         free.sdf,
         free.origin,
@@ -190,8 +188,8 @@ def held_close(
         rules.rate / (spec.speed_mps * STEP_S),
         CARRY_FREE_M,
         CARRY_TIGHT_M,
-        fan,
-        onward,
+        FAN,
+        ONWARD,
     )
 
 

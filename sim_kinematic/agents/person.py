@@ -682,7 +682,7 @@ def joint_steps(quats: Array) -> Array:
 
 
 def _eased(way: Array, ends: tuple[float, float]) -> Array:
-    """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
+    """Weights [T] that go over between ``ends`` and 1 within 8 cm of either end of the way [T] [m]."""
     # part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave
     # its line by 8 mm
     ease_m = 0.08

@@ -15,7 +15,7 @@ _KNEES, _ANKLES = ([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")
 
 
 def shins(joints: Array) -> Array:
-    """Return the centres ``(x, z)`` of the left and the right leg at `LEG_HEIGHT_M`, [T, 2, 2] [m].
+    """Return the centres ``(x, z)`` of the left and the right leg 0.3 m above the floor, [T, 2, 2] [m].
 
     Args:
         joints: Frames of the joints in that of the root, [T, 55, 4, 4] (`Humanoid.joint_matrices`).

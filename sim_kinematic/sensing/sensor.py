@@ -215,7 +215,7 @@ def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: An
 
     ``clearance`` gives the distance [..., RANGES] [m] of points [..., RANGES, 2] to the nearest obstacle, negative inside of
     one, as `FreeSpace.signed_distance` does. The first direction is straight ahead, the others follow to the LEFT. Distances
-    are at most `RANGE_M`; people are not seen. The method is sphere tracing (Hart, 1996) with `RANGE_STRIDES` strides: a ray
+    are at most `RANGE_M`; people are not seen. The method is sphere tracing (Hart, 1996) with eight strides: a ray
     that grazes a wall may end too early.
     """
     if xp is np:

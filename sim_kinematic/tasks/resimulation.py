@@ -110,7 +110,8 @@ def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
     """Return the first step at which columns differ in any bit, in the rows that both have; None if there is none.
 
-    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on, except `ADDED`.
+    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on, except those that
+    recordings of earlier versions lack.
     Columns that the simulator does not make are checked by the hash alone.
     """
     rows = min(len(recorded["time_ns"]), len(simulated["time_ns"]))

@@ -38,7 +38,7 @@ class UrdfGeometry:
 
     ``box`` uses ``size``; ``cylinder`` and ``capsule`` lie along z with ``radius`` and ``length`` (the caps of a
     capsule are added to its length, as in Bullet); ``sphere`` has a ``radius``; ``mesh`` a ``file`` and a ``scale``.
-    Bullet's infinite ``plane`` is read as a ``box`` of `PLANE_SIDE_M` with the plane as its top.
+    Bullet's infinite ``plane`` is read as a ``box`` of 30 m with the plane as its top.
     """
 
     kind: Literal["box", "cylinder", "capsule", "sphere", "mesh"]

@@ -159,7 +159,7 @@ class LogWriter:
     def append_recording(self, recording: Recording) -> None:
         """Writes all steps, skills, events and inputs of a recording.
 
-        Chunks span at most `chunks.CHUNK_S` (`chunks.repeats` names the exception). Events, inputs and skills follow
+        Chunks span at most 10 s (`chunks.repeats` names the exception). Events, inputs and skills follow
         the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
         off thus loses only the chunks after the cut.
         """

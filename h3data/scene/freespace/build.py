@@ -23,6 +23,9 @@ from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_
 from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
 
+BUILD_VERSION = 4
+"""Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
+
 
 @dataclass(frozen=True)
 class BuildSpec:
@@ -72,9 +75,7 @@ def scene_key(
 ) -> str:
     """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
     used = choose_method(scene, method)
-    # part of every key: raise it when a builder changes its results, so that stale cache entries are not found
-    build_version = 4
-    digest = hashlib.sha256(f"freespace {build_version} {used}".encode())
+    digest = hashlib.sha256(f"freespace {BUILD_VERSION} {used}".encode())
     numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
     digest.update(np.array(numbers, np.float64).tobytes())
     for instance in scene.static_instances:
