@@ -7,7 +7,11 @@ const BUSY = 8;
 const START_MS = 150_000;
 const emulator = createRequire(import.meta.url).resolve("iwer/build/iwer.min.js");
 
-export async function openPage(url, { width = 1280, height = 720, headset = false, touch = false } = {}) {
+/**
+ * The page in a window of this size, with few pixels and without shadows: a software renderer then draws several times as many
+ * pictures. ``full`` draws what players see.
+ */
+export async function openPage(url, { width = 1280, height = 720, headset = false, touch = false, full = false } = {}) {
   const browser = await chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
     args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
@@ -27,7 +31,9 @@ export async function openPage(url, { width = 1280, height = 720, headset = fals
       window.headset = device;
     });
   }
-  await page.goto(url);
+  const address = new URL(url);
+  if (!full) for (const [name, value] of [["plain", ""], ["dpr", "0.25"]]) address.searchParams.set(name, value);
+  await page.goto(address.href);
   return new Player(browser, page, faults);
 }
 

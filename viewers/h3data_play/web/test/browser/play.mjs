@@ -10,7 +10,7 @@ const picture = (name) => (pictures ? `${pictures}_${name}.png` : "");
 
 /** The whole task by one key: F leads to the next thing and takes it, then to its place and puts it there. */
 async function task() {
-  const player = await openPage(url);
+  const player = await openPage(url, { full: true });
   await player.started();
   await player.shot(picture("start"));
   for (let k = 0; k < 14 && !(await player.over); k++) {
@@ -25,7 +25,7 @@ async function task() {
 
 /** Walks about by keys: how far prediction and server are apart, and how soon a key shows. */
 async function walk() {
-  const player = await openPage(`${url}${url.includes("?") ? "&" : "?"}plain&dpr=0.25`, { width: 480, height: 300 });
+  const player = await openPage(url, { width: 480, height: 300 });
   await player.started();
   const from = await player.ask("({ ...probe.game.shown })");
   for (let k = 0; k < 12; k++) {
@@ -251,7 +251,7 @@ async function layout() {
   const lives = [];
   let player;
   for (const [k, [width, height, touch]] of SIZES.entries()) {
-    if (k < 2) player = await openPage(`${url}${url.includes("?") ? "&" : "?"}plain&dpr=0.25`, { width, height, touch });
+    if (k < 2) player = await openPage(url, { width, height, touch });
     else await player.page.setViewportSize({ width, height });
     if (k < 2) await player.started();
     await player.drawn(6);
@@ -496,7 +496,7 @@ async function stairs() {
 /** The pictures of the documentation: over the shoulder, with something in the hand, beside the robot, as a spectator. */
 async function album() {
   const [seat, watch] = url.split(",");
-  const player = await openPage(seat);
+  const player = await openPage(seat, { full: true });
   await player.started();
   const lookTo = (x, z, pitch) => player.ask(`(() => { const { camera, shown } = probe.game; camera.pitch = ${pitch};
     camera.yaw = Math.atan2(shown.z - (${z}), (${x}) - shown.x) - shown.heading; })()`);
@@ -521,7 +521,7 @@ async function album() {
   await player.drawn(3);
   await player.nap(1000);
   await player.shot(picture("robot"));
-  const spectator = await openPage(watch);
+  const spectator = await openPage(watch, { full: true });
   await spectator.started();
   await spectator.nap(5000);
   await spectator.shot(picture("above"));

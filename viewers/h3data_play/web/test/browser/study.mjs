@@ -6,7 +6,7 @@
 import { openPage } from "./browser.mjs";
 
 const [url, pictures = ""] = process.argv.slice(2);
-const player = await openPage(`${url}?plain&PROLIFIC_PID=5f00000000000000000000ff&STUDY_ID=s&SESSION_ID=e`, { width: 1000, height: 720 });
+const player = await openPage(`${url}?PROLIFIC_PID=5f00000000000000000000ff&STUDY_ID=s&SESSION_ID=e`, { width: 1000, height: 720 });
 const { page } = player;
 const stages = [];
 const seen = new Set();
