@@ -1,5 +1,6 @@
 """Registries: built-in entries, installed entry points, ``module:name``, and what happens when plug-ins are broken."""
 
+import importlib.metadata
 from typing import Any
 
 import pytest
@@ -32,6 +33,19 @@ def test_entry_points_of_installed_packages_are_found(install) -> None:
     assert registry().names() == ("join", "loads", "alpha", "zeta")
     assert registry().get("zeta") == 1
     assert [entry.distribution for entry in registry().entries()] == ["", "", "acme 1.2", "acme 1.2"]
+
+
+def test_installed_packages_are_read_again_only_after_a_change(install, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, reads = registry(), []
+    real = importlib.metadata.entry_points
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda: reads.append(1) or real())
+    install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
+    assert {tuple(one.load_all()) for _ in range(5)} == {("join", "loads", "zeta")}
+    assert tuple(registry().names()) == ("join", "loads", "zeta")
+    assert len(reads) == 1
+    install("later", {"beta": "later:BETA"}, "BETA = 2")
+    assert one.get("beta") == 2
+    assert len(reads) == 2
 
 
 def test_module_and_name_need_no_entry_point(install) -> None:
