@@ -91,7 +91,7 @@ def _is_working_directory(folder: str) -> bool:
 
 
 def _installation() -> tuple[tuple[str, int, int, int], ...]:
-    """The working directory and the folders in which Python finds packages: inode, number of links and last change [ns] of each.
+    """Return name, inode, number of links and last change [ns] of the working directory and of the folders of packages.
 
     As long as this is the same, the same packages are installed.
     """
