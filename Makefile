@@ -74,11 +74,6 @@ $(DEV): $(INSTALLED)
 	$(EDITABLE) -e ".[dev]"
 	touch $@
 
-# kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
-KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/habitat/navmesh/test_slide.py tests/training/torch/test_cameras.py \
-	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
-	tests/scene/freespace/test_free_space.py tests/play/test_wire.py tests/play/test_apps.py
-
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
@@ -92,7 +87,6 @@ check-kernels: dev  ### nothing is compiled in a clean copy: the demo, README's 
 warm: dev  ### kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
 	$(BIN)/h3data warmup
 	$(PYTEST) --collect-only -qq >/dev/null
-	$(PYTEST_2) $(KERNEL_TESTS)
 
 test: dev  ## fast tests, in two processes
 	$(PYTEST_2)
@@ -150,7 +144,7 @@ docs: dev  ## the documentation site, offline, into build/docs
 
 check-docs: dev  ### README, docs and notebooks run as written, on small data (5 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
-	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
+	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_extending.py tests/product/test_notebooks.py
 
 # LEROBOT=newest takes the newest version instead of the one whose packages are pinned, in an environment beside it
 LEROBOT ?=

@@ -24,7 +24,8 @@ from h3data_pipelines.execution.processes import core_count
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-DOCS = "python -m pytest -q -p no:cacheprovider -m slow tests/product/test_docs_run.py -k"
+TESTS = "python -m pytest -q -p no:cacheprovider"
+DOCS = f"{TESTS} -m slow tests/product/test_docs_run.py -k"
 SESSIONS: dict[str, tuple[str, ...]] = {
     "README": (f"{DOCS} README",),  # its commands as a reader types them
     "documentation": (f'{DOCS} "environments or sessions or rerender or first-table or export or view or report"',),
@@ -41,10 +42,16 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         "h3data generate crowd_nav --scenes small:1 --episodes 1 --max-steps 60 --policy orca --partner social_force "
         "-o {scratch}/orca",
     ),
-    "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/play/test_live.py -k rehearsal",),
+    "live play": (
+        f"{TESTS} -m slow tests/play/test_live.py -k rehearsal",
+        f"{TESTS} tests/play/test_wire.py tests/play/test_apps.py",
+    ),
+    "Habitat": (f"{TESTS} tests/habitat/navmesh tests/scene/freespace tests/pipelines/test_scenes_command.py",),
+    "pictures for a GPU": (f"{TESTS} tests/training/torch/test_cameras.py",),
+    "oracle skills": (f"{TESTS} tests/sim/agents/test_oracle.py",),
 }
-"""Commands that users run, by their names in progress messages. ``{scratch}`` is a folder of the session; everything runs in
-the checkout."""
+"""Commands that users run, by their names in progress messages, and tests of what they do with files that only users have.
+``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in ``../shared/real``."""
 
 
 def build() -> str:

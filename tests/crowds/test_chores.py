@@ -43,6 +43,7 @@ def acted(played: h3data.Recording) -> h3data.Recording:
     return act_out(played)
 
 
+@pytest.mark.slow
 def test_acting_out_changes_nobodys_way_and_the_original_verifies(
     played: h3data.Recording, acted: h3data.Recording
 ) -> None:

@@ -63,6 +63,7 @@ def test_a_card_is_found_in_a_home_and_plays_again():
     assert verify(recording).difference is None
 
 
+@pytest.mark.slow
 def test_a_plan_travels_with_the_recording():
     recording = played("narrow_doorway", "dwa")
     assert recording.episode.info["extra"]["where"] == "plan"

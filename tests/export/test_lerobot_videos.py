@@ -51,6 +51,7 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / np.mean((one.astype(float) - other) ** 2)))
 
 
+@pytest.mark.slow
 def test_generated_videos_show_what_the_cameras_see(dataset: Dataset) -> None:
     recording = dataset[1]
     assert recording.episode.info["light"] == "baked"

@@ -133,7 +133,8 @@ def walking(cameras: list[Camera]) -> NDArray[np.floating]:
 
 
 # --- whole homes ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("size", ["small", pytest.param("medium", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", ["small", "medium"])
 def test_homes_with_a_walking_person_look_as_on_the_cpu(make, size):
     scene, person = home_with_person(size)
     body = load_humanoid("female_0")

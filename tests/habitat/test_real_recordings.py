@@ -63,6 +63,7 @@ def report(real: Path, out: Path, assets: list[Path]) -> dict[str, dict[str, Any
     return {str(Path(row["source"]).relative_to(real)): row for row in outcome.data["files"]}
 
 
+@pytest.mark.slow
 def test_the_whole_folder_is_told_apart(report: dict[str, dict[str, Any]]) -> None:
     imported = {name: row["steps"] for name, row in report.items() if row["status"] == "imported"}
     assert imported == IMPORTED

@@ -35,7 +35,9 @@ def test_sums_of_floats_do_not_depend_on_the_version() -> None:
     assert add_up([]) == 0.0
 
 
-@pytest.mark.parametrize("name", ["h3-homes/test#3", "h3-homes-open/test#0", "large:4"])
+@pytest.mark.parametrize(
+    "name", ["h3-homes/test#3", "h3-homes-open/test#0", pytest.param("large:4", marks=pytest.mark.slow)]
+)
 def test_homes_do_not_depend_on_how_the_version_sums(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before, the homes of the first two differed in their last bits, and so did the identities of their episodes."""
 

@@ -194,6 +194,7 @@ def test_orders_states_rooms_and_neighbors_are_played_by_the_expert(
     assert verify(h3data.open(tmp_path / "ds").recording(1)).equal
 
 
+@pytest.mark.slow
 def test_things_on_the_floor_get_places_there(maker: Maker, place: Any) -> None:
     mug, cup = maker.objects
     table = maker.furniture("dining_table")
@@ -243,6 +244,7 @@ def test_what_cannot_be_played_anywhere_is_refused_in_one_sentence(maker: Maker)
         assert refused(maker, entry) == code, entry["evaluation_propositions"]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_played_in_its_home_is_refused_in_one_sentence(maker: Maker, place: Any) -> None:
     mug = maker.objects[0]
     table, bed = maker.furniture("dining_table"), maker.furniture("bed")

@@ -117,7 +117,7 @@ def test_a_robot_that_is_played_brings_by_name_and_talks_on_its_way(tmp_path: Pa
     assert [e.kind for e in recording.events if e.kind in ("pick", "place")] == ["pick", "place"]
 
 
-@pytest.mark.parametrize("seat", ["robot", "person"])
+@pytest.mark.parametrize("seat", ["robot", pytest.param("person", marks=pytest.mark.slow)])
 def test_players_bring_things_to_the_floor_of_a_room(tmp_path: Path, seat: str) -> None:
     game = table(tmp_path, rules={"template": "floor"}, seats=(seat,)).begin(FIRST)
     player = Player(game)

@@ -144,6 +144,7 @@ def test_a_robot_brings_what_a_person_says_to_have_washed() -> None:
     assert any(text.startswith("handled ") for *_, text in said(made))
 
 
+@pytest.mark.slow
 def test_what_one_sees_the_other_looks_for_first() -> None:
     task = episode("two_on", seed=1, max_steps=3000, observe="seen")
     made = simulate(Language(), task, {"robot": "language_talk", "human": "language_talk"})
@@ -195,6 +196,7 @@ def test_pages_show_an_instruction_and_do_not_run_its_markup(tmp_path: Path) -> 
     assert "Put &lt;img src=x onerror" in (tmp_path / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observe", ["full", "seen"])
 def test_planners_of_rearrangement_say_what_they_take_and_leave_it_to_each_other(observe: str) -> None:
     scene, free = place("h3-homes/val#3")

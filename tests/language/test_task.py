@@ -302,7 +302,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_verification_that_is_stopped_goes_on_where_it_was(
     number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -394,6 +394,7 @@ def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
     assert verify(recording).equal
 
 
+@pytest.mark.slow
 def test_things_are_put_on_the_floor_of_a_room_and_replays_do_the_same() -> None:
     sampled = episode("two_on", 3)
     one, other, third = [t.name for t in sampled.targets]
@@ -450,6 +451,7 @@ def test_destinations_that_do_not_exist_or_are_full_are_refused() -> None:
     assert Destination.of(str(Destination("inside fridge_0", "mug_1"))) == ("inside fridge_0", "mug_1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "template",
     [

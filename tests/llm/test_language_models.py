@@ -114,6 +114,7 @@ def test_a_person_by_a_model_in_text_mode_handles_a_thing_and_a_robot_has_no_suc
         play(task, server.policy())
 
 
+@pytest.mark.slow
 def test_a_model_opens_a_drawer_on_the_way_and_by_itself() -> None:
     task = episode("inside", home=OPEN_HOME, max_steps=4000)
     ((thing, full),) = asked(task)
@@ -142,6 +143,7 @@ def test_a_model_puts_a_thing_on_the_floor_of_a_room() -> None:
     assert verify(made).equal
 
 
+@pytest.mark.slow
 def test_a_model_that_searches_knows_nothing_at_first_and_is_woken_by_what_it_finds() -> None:
     task = episode("two_on", seed=1, max_steps=2500, observe="seen")
     with chat_server(script([call("explore")] * 3 + [call("explore", room="kitchen")] * 2)) as server:

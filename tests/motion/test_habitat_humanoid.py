@@ -28,7 +28,7 @@ def motion(golden):
     return read_habitat_motion(golden / "synthetic_motion_data_smplx.pkl")
 
 
-@pytest.mark.parametrize("run", range(5))
+@pytest.mark.parametrize("run", [0, *(pytest.param(run, marks=pytest.mark.slow) for run in range(1, 5))])
 def test_walks_turns_and_stops_as_habitat_does(golden, motion, run):
     """Teacher forced; the steps after two HITL commands are left out, which keep a heading that no file shows."""
     truth = np.load(golden / f"commands_{run}.npz")
@@ -62,7 +62,7 @@ def test_walks_turns_and_stops_as_habitat_does(golden, motion, run):
     assert compared > 180
 
 
-@pytest.mark.parametrize("run", range(5))
+@pytest.mark.parametrize("run", [0, *(pytest.param(run, marks=pytest.mark.slow) for run in range(1, 5))])
 def test_whole_sessions_of_all_commands_as_habitat_plays_them(golden, motion, run):
     """From the commands alone, the two of habitat-hitl (a look of its own, gait by deltas) included; nothing is reset."""
     truth = np.load(golden / f"commands_{run}.npz")

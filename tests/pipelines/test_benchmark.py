@@ -270,6 +270,7 @@ def test_missing_recordings_are_found(short_nav: tuple[Path, Path], result: Path
     assert "recordings/000001: no recording of heuristic_expert, stand_still" in faults(result, short_nav[0])
 
 
+@pytest.mark.slow
 def test_people_decide_again(tmp_path: Path) -> None:
     """A result cannot show another partner's course under a partner's name."""
     folder = definition(tmp_path / "short-rearrange", REARRANGE)

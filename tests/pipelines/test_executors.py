@@ -41,6 +41,7 @@ def test_too_few_workers_are_refused() -> None:
         pass
 
 
+@pytest.mark.slow
 def test_one_process_and_two_give_the_same_in_order() -> None:
     numbers = [n for n in range(40) if n != 13]
     expected = [n * n for n in numbers]

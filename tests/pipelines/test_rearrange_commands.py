@@ -270,6 +270,7 @@ def test_rules_of_other_names_and_types_are_refused(
     assert expected in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_observe_is_the_rule_of_the_same_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("--scenes", "small:1", "--episodes", "1", "--max-steps", "700", "--observe", "seen", "-o", tmp_path / "ds")
     run_json(capsys, "generate", "rearrange", *args, "--json")

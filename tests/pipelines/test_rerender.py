@@ -144,6 +144,7 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
 
 
+@pytest.mark.slow
 def test_a_folder_stands_for_all_recordings_in_it(
     episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -366,6 +366,7 @@ def test_export_glb_keeps_the_scene(home: Scene, tmp_path: Path, capsys: pytest.
     assert "wrote home_small_3 as glb: 1 file, " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_export_habitat_can_be_used_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, data = run(capsys, "export", "small:3", "small:1", "--to", "habitat", "-o", tmp_path / "out")
     assert code == 0

@@ -47,6 +47,7 @@ def joints_told(player: Player, *, whole: bool) -> dict[int, float]:
     return dict(struct.iter_unpack("<Hf", data[at:]))
 
 
+@pytest.mark.slow
 def test_a_player_is_told_only_of_what_their_own_eyes_have_met(tmp_path: Path):
     """The server decides: neither points, nor what shuts a thing in, nor why it cannot be taken tell where it is."""
     told: list[Any] = []

@@ -67,6 +67,7 @@ def test_stairs_are_climbed_by_a_click(tmp_path: Path, seat: str, episode: int, 
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
+@pytest.mark.slow
 def test_the_page_is_told_how_high_the_floor_is(tmp_path: Path):
     game = LiveGame(table(tmp_path, scenes=HOME), 0)
     said = assets.manifest(game.session, game.app, {})

@@ -23,6 +23,7 @@ def test_draw_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert (tmp_path / "p.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_measure_policies(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "measure_policies.py"))
     out = capsys.readouterr().out

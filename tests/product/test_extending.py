@@ -43,6 +43,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_the_page_runs_as_written(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks, ran = BLOCK.findall((DOCS / "extending.md").read_text(encoding="utf-8")), 0
     for kind, text in blocks:

@@ -140,6 +140,7 @@ CALLS = [
 """Packages, and what is refused in Python without them."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("package", "call"), [CALLS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in CALLS[1:])]
 )
@@ -163,6 +164,7 @@ def test_a_call_names_the_package_that_it_needs(package: str, call: str, tmp_pat
     assert package in text
 
 
+@pytest.mark.slow
 def test_what_makes_homes_names_their_package_and_leaves_no_folder(tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", str(tmp_path / "out")
     tree.mkdir()
@@ -197,6 +199,7 @@ def test_what_writes_files_of_viewers_names_their_package(tmp_path: Path) -> Non
     assert said["study report --help"][0] == 0
 
 
+@pytest.mark.slow
 def test_files_of_habitat_name_their_package(tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", tmp_path / "out"
     tree.mkdir()

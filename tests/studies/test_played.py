@@ -210,6 +210,7 @@ def test_episodes_that_came_late_are_left_out_and_counted(study: Path, tmp_path:
     assert sum(c["left_out"] for c in StudyStatus(path).run().data["conditions"]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["number", pytest.param("recruiting id", marks=pytest.mark.slow)])
 def test_forgetting_leaves_no_trace(study: Path, tmp_path: Path, by: str) -> None:
     root = tmp_path / "forget"

@@ -59,6 +59,7 @@ def frames_of(env: DatasetEnv, dataset: Dataset, number: int) -> list[dict[str, 
     return seen
 
 
+@pytest.mark.slow
 def test_recorded_actions_give_the_recorded_states_and_pictures(exported: Path, source: Path) -> None:
     dataset = Dataset(exported)
     env = DatasetEnv(exported, episodes="recorded")

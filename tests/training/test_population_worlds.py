@@ -244,6 +244,7 @@ def test_fused_steps_decide_alike(episodes: Sequence[RearrangeEpisode], short: N
         torch.testing.assert_close(theirs.log_prob, mine.log_prob, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_bank_is_drawn_home_by_home(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
     bank = bank_of(DRAWN, tmp_path / "bank.npz", workers=1)
     whole = RearrangeBank.of([replace(e, spec=ORACLE_RULES) for e in episodes])
@@ -285,6 +286,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
             assert load_bank(file)[1] == drawn_by(DRAWN)
 
 
+@pytest.mark.slow
 def test_agents_begin_where_they_do_in_episodes_of_the_same_home(
     episodes: Sequence[RearrangeEpisode], short: None
 ) -> None:

@@ -36,6 +36,7 @@ def folder(tmp_path_factory: Any) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_it_learns_and_its_file_gives_what_was_trained(folder: Path) -> None:
     policy = network_of(f"weights:{folder / POLICY}")
     assert isinstance(policy, ResNetPolicy)

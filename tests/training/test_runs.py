@@ -56,6 +56,7 @@ def arrays(folder: Path) -> dict[str, np.ndarray]:
     return dict(network.arrays)
 
 
+@pytest.mark.slow
 def test_it_learns_in_homes_of_both_generations(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(scenes="h3-homes/train#0,h3-homes-v2/train#0", updates=1)
     both = make_bank(settings, seed=0)

@@ -47,7 +47,8 @@ def assert_same(scene: Scene, back: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("home", "ending"), [("small-open:3", "usda"), ("small2-doors:3", "usdc"), ("small:1", "usdz")]
+    ("home", "ending"),
+    [("small-open:3", "usda"), pytest.param("small2-doors:3", "usdc", marks=pytest.mark.slow), ("small:1", "usdz")],
 )
 def test_a_home_comes_back_whole(home: str, ending: str, tmp_path: Path) -> None:
     scene = h3data.load_scene(home)
@@ -91,6 +92,7 @@ def test_what_is_written_is_valid_and_means_in_usd_what_it_means_here(tmp_path: 
     np.testing.assert_allclose(np.array([*box.ComputeAlignedRange().GetMin()]), scene.bounds[0], atol=0.02)
 
 
+@pytest.mark.slow
 def test_changes_in_another_program_are_kept(tmp_path: Path) -> None:
     scene = h3data.load_scene("small-open:3")
     write_usd(scene, tmp_path / "home.usda")

@@ -84,6 +84,7 @@ def test_the_skin_follows_the_skeleton() -> None:
     np.testing.assert_allclose(vertices, body.mesh.vertices, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_episodes_make_people_of_their_own_and_verify(tmp_path: Path) -> None:
     out = tmp_path / "ds"
     words = ["--human", "random", "--scenes", "small:1", "--max-steps", "20"]

@@ -27,6 +27,7 @@ def _same(one: Robot, other: Robot) -> None:
         np.testing.assert_array_equal(a.pose, b.pose)
 
 
+@pytest.mark.slow
 def test_the_drafted_settings_give_the_same_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = write_cart(tmp_path / "cart")
     out = tmp_path / "mine" / "robot.toml"
@@ -41,7 +42,7 @@ def test_the_drafted_settings_give_the_same_robot(tmp_path: Path, capsys: pytest
     _same(load_robot(urdf), guessed)
 
 
-@pytest.mark.parametrize("name", ["fetch", "tiago_no_hand"])
+@pytest.mark.parametrize("name", ["fetch", pytest.param("tiago_no_hand", marks=pytest.mark.slow)])
 def test_published_robots_are_drafted(name: str, tmp_path: Path) -> None:
     urdf = SHARED / f"{name}.urdf"
     if not urdf.is_file():

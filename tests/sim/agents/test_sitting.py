@@ -138,6 +138,7 @@ def test_nobody_sits_where_no_seat_is_near() -> None:
     assert result is None or "no free seat" in str(result)
 
 
+@pytest.mark.slow
 def test_a_recording_of_sitting_verifies() -> None:
     for seed in range(1, 12):
         session, person = begun(seed=seed)

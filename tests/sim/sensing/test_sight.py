@@ -125,7 +125,7 @@ def test_contents_are_seen_only_when_opened() -> None:
     assert np.isnan(sight.where[0, 0]).all()
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_planners_find_things_and_recordings_tell_when(seed: int) -> None:
     recording = simulate(Rearrange(), episode(seed, max_steps=4000), {"robot": "complement", "human": "both"})
     assert recording.episode.info["ended"] == "success"

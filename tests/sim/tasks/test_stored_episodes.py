@@ -169,6 +169,7 @@ def test_an_episode_of_another_home_is_refused() -> None:
             episode_from(msgspec.structs.replace(episode, **change), open_scene(HOME))
 
 
+@pytest.mark.slow
 # --- commands ---------------------------------------------------------------------------------------------------------
 def test_generate_plays_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "two.toml"

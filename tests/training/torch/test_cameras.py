@@ -83,6 +83,7 @@ def test_robots_and_people_see_what_they_see_on_the_cpu(device: Any) -> None:
     assert shows_her > 500
 
 
+@pytest.mark.slow
 def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     name, renderer = device
     monkeypatch.setattr("h3data_gpu.GpuRenderer", renderer)

@@ -186,7 +186,7 @@ def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
 
 
 # --- look-ups -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("home", ["small", "medium", "small2"])
+@pytest.mark.parametrize("home", ["small", pytest.param("medium", marks=pytest.mark.slow), "small2"])
 def test_ways_are_nearly_the_exact_ones(home: str) -> None:
     free = FreeSpace.from_scene(build_home(HomeSpec(seed=1, **HOME_NAMES[home])))
     rng = np.random.default_rng(0)
