@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import robot_digest
-from h3data.bodies.names import JOIN
+from h3data.bodies.names import JOIN, walk_attachments, walk_facts
 from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
@@ -26,7 +26,7 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.recording.assets.scenes import scene_records
+from h3data.recording.assets.scenes import scene_attachment, scene_records
 from h3data.recording.scans import scan_column
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
@@ -34,9 +34,9 @@ from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import scanner_facts
-from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
+from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
 
@@ -270,14 +270,11 @@ def finished(
 
 # --- the header -------------------------------------------------------------------------------------------------------
 def describe(
-    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
+    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0"
 ) -> RecordingHeader:
-    """Return the header of a recording, known before the first step: agents, bodies, scene and rules.
-
-    ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
-    """
+    """Return the header of a recording, known before the first step: agents, bodies, scene and rules."""
     scene = episode.scene
-    file, digest = scene_attachment(scene)
+    (file, digest), (assets, bodies) = scene_attachment(scene), scene_records(scene)
     info = {
         **task.codec.info(episode, policies),
         "instruction": task.codec.instruction(episode),
@@ -285,7 +282,8 @@ def describe(
         "scene_sha256": digest,
         "categories": categories_of(scene),
     }
-    if reference:
+    # a task that no entry point names is found by ``module:Class``
+    if reference := reference_of(task):
         info["task"] = reference
     if task.profile:
         info["profile"] = task.profile
@@ -299,8 +297,6 @@ def describe(
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):
-        from h3data.bodies.names import walk_attachments, walk_facts
-
         walks, info["motions"] = walk_attachments(people), walk_facts(people)
     if crowd := {
         member.name: policy.policy.facts
@@ -320,7 +316,6 @@ def describe(
         created_by=f"h3data {own_version()}",
         info=info,
     )
-    assets, bodies = scene_records(scene)
     numbers = {name: k for k, name in enumerate(episode.moving)}
     return RecordingHeader(
         episode=record,

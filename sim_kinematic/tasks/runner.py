@@ -24,7 +24,6 @@ from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
-from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
@@ -178,7 +177,7 @@ def simulate(
     measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
     if measured is not None:
         info = {**(info or {}), "sensors": measured.facts}
-    header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
+    header = describe(task, episode, assigned, episode_id=episode_id)
     play = WorldRollout.of(task, episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
     try:
@@ -297,7 +296,7 @@ class Session:
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
         self.play = WorldRollout.of(task, episode, self.policies)
-        header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
+        header = describe(task, episode, self.policies, episode_id=episode_id)
         if info:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)

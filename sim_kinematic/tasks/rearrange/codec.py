@@ -20,6 +20,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.plugins import names_from_data
 from h3data.recording import Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.recording.task_episodes.episode_files import episode_files
 from h3data.recording.task_episodes.partnr_goals import Placement
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
@@ -49,7 +50,6 @@ from sim_kinematic.tasks.codec import (
     recorded_roster,
     require_info,
     require_on_floor,
-    scene_attachment,
     starts_on_floor,
     uid_of,
 )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
 from sim_kinematic.agents.waypoint_walker import HumanPlan
@@ -25,7 +26,6 @@ from sim_kinematic.tasks.codec import (
     SceneAndMap,
     malformed_info,
     require_info,
-    scene_attachment,
     uid_of,
 )
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, agent_base, rules_dict
