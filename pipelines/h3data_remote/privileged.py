@@ -18,10 +18,11 @@ from h3data.plugins import names_from_data
 from h3data.recording import read_mcap, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data_remote.wire import PolicyServerError
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
-from sim_kinematic.tasks.episode import Episode, agent_base, agent_floor
+from sim_kinematic.tasks.episode import Episode, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import Recorder, describe
 from sim_kinematic.tasks.resimulation import scene_and_map

@@ -26,9 +26,9 @@ from h3data_training.torch.rearrange.skills import (
     of_object,
     one_of,
 )
-from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Hands, Play, SubGoal, choose
+from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Hands, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places, Tables
-from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.state import HumanTensors, RobotTensors, choose
 from h3data_training.torch.step import Grids, heading_direction
 from h3data_training.torch.task_worlds import in_words, on_meta, require_tensors, typed
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
