@@ -198,7 +198,7 @@ def masked(text: str) -> str:
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     """A path or URI as a `Path` or `RemotePath`; ``file://`` is local.
 
-    A URI that became a `Path` on its way, and thereby lost a slash (``s3:/bucket``), counts as a URI.
+    A URI that was converted to a `Path`, and so lost a slash (``s3:/bucket``), counts as a URI.
 
     Raises:
         InputError: the URI has a scheme that pyarrow.fs does not open, or no bucket or folder.

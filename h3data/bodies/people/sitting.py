@@ -218,7 +218,7 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
         at = (seats[own, 1] - lies) * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
         share = (at - low)[:, None]
-        # 0.05: share of the path over which a standing person's own pose goes over into it
+        # 0.05: share of the path over which a standing person's own pose is blended into this one
         early = smoothstep(np.minimum(seats[own, 1] / 0.05, 1.0))[:, None]
         quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
         place = places[low] + share * (places[low + 1] - places[low])
