@@ -97,7 +97,7 @@ class GivingWay:
 
     @cached_property
     def _contacts(self) -> AgentContacts:
-        """FCL's shapes; in most episodes nobody comes so near that they are needed."""
+        """Shapes of FCL, made when two agents first come near enough to need them, which is rare."""
         return AgentContacts(*(body_shapes(body) for body in self.bodies))
 
     def track(self, number: int) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ SETTLE_STEPS, CLOSE_ENOUGH = 45, 0.1
 """Number of steps within which feet get to their standing places; remaining distance from the carrying pose, as a share, at
 which a person begins to walk."""
 FADE_STEPS = 12
-"""Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
+"""Steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""

@@ -77,7 +77,7 @@ class PersonActor:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
     company: Company | None = None
-    """The agents that it heeds, itself among them; None: it is alone."""
+    """Agents that the person gives way to, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -96,7 +96,7 @@ class PersonActor:
         self._held_up = 0
         """Steps since the last one that was not stopped by others."""
         self._goes_around = False
-        """Turned away, they go by ways around who stands, until they get somewhere."""
+        """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     def meets(self) -> bool:
         """Returns whether the person touches somebody now: then they stay where they were."""

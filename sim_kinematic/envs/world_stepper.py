@@ -244,7 +244,7 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Sample episodes for the worlds ``where`` [W], then begins them; if one cannot be sampled, no world has changed.
+        """Sample episodes for the worlds ``where`` [W] and begin them. If one cannot be sampled, no world changes.
 
         Agents with skills then go on until one that acts must choose.
         """

@@ -45,8 +45,9 @@ class BaseSpec:
     allow_back: bool = True
     """True if the base can drive backwards."""
     slide: Slide = "strict"
-    """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
-    step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
+    """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for step;
+    it moves as far as its most obstructed disc, so that other discs may get into walls (research: navigation-and-stepping
+    3.2)."""
     habitat: HabitatSlideSpec = HabitatSlideSpec()
     """Parameters for ``slide="habitat"``."""
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)

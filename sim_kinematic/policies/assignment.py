@@ -196,7 +196,7 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
 
 
 def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
-    """Find what a policy's name means and returns a function that makes the policy for an episode.
+    """Return a function that makes the policy with this name for an episode.
 
     Commands, environments, sessions, live play and plug-ins all look policies up here.
 

@@ -58,7 +58,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     network: str = "cnn_gru"
     """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
-    """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
+    """Length of an action: 2 for the base; skills that move the arm add its joints [n] and the grip [1]."""
     agent: str = "robot"
     """Agent that the policy controls: ``robot`` or ``human``."""
     objects: int = 0
@@ -66,7 +66,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     primitives: bool = True
     """True if a robot of rearrangement may choose the primitives of navigation."""
     temperature: float = 1.0
-    """Divisor of the scores of choices before one is drawn in play; below 1 the better ones are drawn more often than in
+    """Divisor of the scores of choices before one is sampled in play; below 1, better choices are sampled more often than in
     training."""
     training: dict[str, Any] = {}
     """Origin of the policy: recipe, seed, steps, hardware, versions."""

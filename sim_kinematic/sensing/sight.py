@@ -43,7 +43,7 @@ class Places(NamedTuple):
     """Surfaces on which things may lie, as one agent knows them."""
 
     points: NDArray[np.float64]
-    """Middle of each [S, 3] [m]."""
+    """Middle of each surface, [S, 3] [m]."""
     looked: Flags
     """True if the agent has looked at it, [S]."""
     shut: NDArray[np.int64]

@@ -50,7 +50,7 @@ class Sink(Protocol):
         """Append an event."""
 
     def skill(self, span: SkillSpan) -> int:
-        """Append a skill, running or ended, and returns its number."""
+        """Append a skill, running or ended, and return its number."""
         ...
 
     def input(self, event: InputEvent) -> Any:
@@ -112,7 +112,7 @@ class RecordedSensors:
 
     @classmethod
     def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
-        """Return the sensors that a recording holds, None if there are none; raises as the constructor does."""
+        """Return the sensors that a recording holds, or None if there are none. Errors are those of the constructor."""
         told = recording.episode.info.get("sensors")
         # info comes from a file and may hold anything
         found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
@@ -194,7 +194,7 @@ class Recorder:
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
-        """Return the whole recording, with what is known only at the end; closes the sink."""
+        """Close the sink and return the whole recording, with what is known only at the end."""
         # first, as it ends running skills, whose spans are taken down below
         self.play.finish()
         columns = self.columns()

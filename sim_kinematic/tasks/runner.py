@@ -118,7 +118,7 @@ def run(
     progress: Callable[[int], object] | None = None,
     note: Callable[[int, Any], object] | None = None,
 ) -> str:
-    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``; returns what ended it.
+    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``, and return the reason why it ended.
 
     ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
     """
@@ -157,7 +157,7 @@ def simulate(
     info: Mapping[str, Any] | None = None,
     sensors: Sequence[str] = (),
 ) -> Recording:
-    """Play one episode to its end and returns its recording.
+    """Play one episode to its end and return its recording.
 
     Args:
         task: Task to play.
@@ -419,7 +419,7 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """End the session and returns its recording; one that has not ended says so in ``info["ended"]``.
+        """End the session and return its recording; if the episode has not ended, ``info["ended"]`` says so.
 
         ``info`` is recorded too: entries that the caller knows only now.
         """
