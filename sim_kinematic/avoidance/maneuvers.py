@@ -169,7 +169,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
-    # one flood from the goal tells the search for every pose how far the robot has still to go
+    # one distance map from the goal gives the search the remaining path of every pose
     left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])

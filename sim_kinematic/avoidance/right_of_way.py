@@ -89,8 +89,11 @@ class RightOfWay:
         *,
         asks: bool = True,
     ) -> None:
-        """``errand`` returns the progress of an agent's task, from which stand-offs are found and ended; if ``asks`` is False,
-        nothing else is done."""
+        """Begin without any stand-off.
+
+        ``errand`` returns the progress of an agent's task, from which stand-offs are found and ended; if ``asks`` is False,
+        nothing else is done.
+        """
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks

@@ -177,7 +177,8 @@ class WorldStepper:
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if not self._others and self._partner is not None:
             raise InputError(
-                "All agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-041"
+                "All agents are controlled from outside, so there is no partner. Hint: leave out partner.",
+                code="H3-ENV-041",
             )
 
     def _check_partner(self, k: int) -> None:

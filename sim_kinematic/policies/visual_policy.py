@@ -321,7 +321,7 @@ def picture_in(observations: tuple[str, ...]) -> str | None:
 def lengths(name: str, actions: int) -> tuple[int, int]:
     """Return how many numbers an observation has, and its encoding, for a policy with ``actions`` numbers of an action."""
     encoding = OF_COMMANDS[name]
-    # an action with an arm has one number for each joint, so it tells how many joints are observed
+    # an action with an arm has one number for each joint, from which the number of observed joints follows
     repeat = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0) if encoding.times == "joints" else 1
     return repeat * encoding.given, repeat * encoding.length
 

@@ -206,8 +206,7 @@ class Task:
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property
     def codec(self) -> EpisodeCodec[Any]:
-        """Codec that writes and reads the task's episodes in episode files, in recordings and in words; by default a
-        `TaskCodec`."""
+        """Codec of the task's episodes in files, recordings and words; by default a `TaskCodec`."""
         return TaskCodec(self)
 
     # --- policies -----------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ at an end."""
 
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
-    """Reason why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
+    """Return the reason why no agent could open or close a part now; empty if one could. Reach is tested separately."""
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
     k, opens = action.target, action.skill == "open"

@@ -327,7 +327,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
         what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
-        # bodies of a pair are named already, and a person alone is told by the policy solo
+        # the bodies of a pair are named already, and the policy solo marks a person alone
         if kinds not in (PAIR, ("human",)):
             what += ":" + ",".join(member.model for member in episode.roster)
         if not episode.is_sampled:

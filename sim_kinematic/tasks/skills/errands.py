@@ -26,7 +26,7 @@ from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
 Stands = tuple[Array, Callable[[Array], bool]]
-"""Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
+"""Stands ``(x, z, heading)`` [N, 3], and a function that returns whether the body has room at one of them."""
 
 
 def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = ()) -> SubGoals:
