@@ -117,6 +117,6 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
 
 def _no_traffic() -> Any:
     raise PolicyServerError(
-        "This policy heeds everybody in the world that it plays in, and cannot decide behind a server.",
+        "This policy gives way to everybody in the world that it plays in, and cannot decide behind a server.",
         code="H3-REMOTE-037",
     )
