@@ -17,7 +17,7 @@ still."""
 
 
 class Shown(NamedTuple):
-    """The state of a world as far as pictures depend on it."""
+    """Part of a world's state on which pictures depend."""
 
     matrix: NDArray[np.float64]
     """Mesh to world of every instance, shape [I, 3, 4]."""
