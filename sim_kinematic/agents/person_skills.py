@@ -49,7 +49,7 @@ class _Posture(NamedTuple):
     quats: Array
     pelvis: Array
     feet: Array
-    """`h3data.bodies.people.planted_gait.PlantedWalk.state`."""
+    """State of the feet, `h3data.bodies.people.planted_gait.PlantedWalk.state`."""
     transition: Transition
     bare: Array
     """``quats`` without what fingers, head and eyes add."""

@@ -277,10 +277,10 @@ class SkillSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class OracleSpec:
-    """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (h3data docs rearrangement).
+    """Rules of oracle skills like Habitat's, which a device can repeat step by step (h3data docs rearrangement).
 
-    Nobody heeds anybody. An agent that stands at a place from which a thing is reached, and faces it, takes it: it is in the
-    hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
+    Agents do not give way to each other. An agent that stands where it can reach a thing, and faces it, takes it:
+    the thing is in the hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
     """
 
     robot_steps: tuple[int, int] = (12, 14)

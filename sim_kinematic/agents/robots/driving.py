@@ -95,7 +95,7 @@ class RobotDriver:
         self._start: NDArray | None = None
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._goes_around = False
-        """Turned away, it goes by ways around who stands, until it gets somewhere."""
+        """True after the robot was turned away: it takes paths around agents that stand until it makes progress."""
         self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
         """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []

@@ -114,7 +114,7 @@ class RearrangeSpec:
     """The same as in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
     floor_moves: bool = field(default=False, repr=False)
     """True if what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
-    something opens; those from before 0.3 know nothing of it."""
+    something opens; episodes from before 0.3 do not have the rule."""
     oracle: OracleSpec | None = field(default=None, repr=False)
     """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
     observe: str = field(default="full", repr=False)
