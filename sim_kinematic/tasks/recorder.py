@@ -40,6 +40,11 @@ from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
 
+BLOCK, SHORT_M = 30, 16.0
+"""Number of rows that the sink gets at once: one second, which is what a crash may lose. Largest length of sensors that are
+recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
+
+
 class Sink(Protocol):
     """Receiver of an episode while it runs, such as `h3data.recording.RecordingWriter`."""
 
@@ -105,9 +110,7 @@ class RecordedSensors:
                     "high": _one(high.tolist()),
                 }
                 # 16 bits are fine enough for short lengths only, and halve the size of a scan of many rays
-                # 16.0: largest length of sensors that are recorded in 16 bits, which resolve 4 mm at
-                # 8 m [m]
-                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= 16.0
+                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
                 self._types[column] = np.float16 if short else np.float32
 
     @classmethod
@@ -166,9 +169,7 @@ class Recorder:
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
         self._beside.append(tuple(self.beside.values()))
-        # number of rows that the sink gets at once: one second, which is what a crash may lose
-        block = 30
-        if len(self._rows) == block:
+        if len(self._rows) == BLOCK:
             self._close_block()
         self._take()
 
