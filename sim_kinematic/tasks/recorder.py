@@ -39,7 +39,6 @@ from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
-
 BLOCK, SHORT_M = 30, 16.0
 """Number of rows that the sink gets at once: one second, which is what a crash may lose. Largest length of sensors that are
 recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
