@@ -98,7 +98,7 @@ class Posture(NamedTuple):
     arms: Array
     """Fold of the left and the right arm, from 0 (out) to 1 (in), [W, 2]."""
     seat: Array
-    """As `HumanState.seat`, [W, 2]."""
+    """Seat of the person as in `HumanState.seat`, [W, 2]."""
 
 
 Command = DriveCommand | WaypointCommand | PoseCommand | GaitCommand | RecordedPoseCommand

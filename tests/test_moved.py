@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 
 import pytest
 
@@ -28,6 +30,13 @@ def test_imports_ask_for_moved_modules() -> None:
     announce_moves()
     with pytest.raises(ModuleNotFoundError, match=r"h3data_training\.torch"):
         importlib.import_module("sim_kinematic.torch.step")
+
+
+@pytest.mark.parametrize("package", sorted({old.partition(".")[0] for old in MOVED}))
+def test_a_program_that_imports_an_old_name_first_learns_the_new_one(package: str) -> None:
+    old = next(old for old in MOVED if old.startswith(f"{package}."))
+    result = subprocess.run([sys.executable, "-c", f"import {old}"], capture_output=True, text=True, check=False)
+    assert f"The module {old} is {MOVED[old]} now" in result.stderr
 
 
 @pytest.mark.parametrize("old", RENAMED)

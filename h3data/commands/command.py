@@ -134,7 +134,7 @@ class Group:
 def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str) -> P:
     """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
 
-    ``unfinished`` says of contents what there is to go on with by ``--resume``; nothing if the text is empty.
+    ``unfinished`` returns what ``--resume`` could continue in the existing contents; an empty text means nothing.
     """
     if isinstance(folder, Path):
         local(folder)

@@ -72,7 +72,7 @@ def detect(path: str | os.PathLike[str]) -> Format:
     """
     file = SourceFile.of(path)
     try:
-        # most files are told by their first bytes, without being read
+        # most files are recognized by their first bytes, without being read
         built_in = _by_beginning(file.head)
         if built_in is JSON:
             members = _members(file)

@@ -23,7 +23,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 class SourceFile(os.PathLike[str]):
-    """File of another program, read once: its beginning tells its format, and the reader of that format continues from there.
+    """File of another program, read once: its beginning shows its format, whose reader continues from there.
 
     Gzip data is unpacked. Every member raises `InputError` if there is no such file, `FormatError` if it is damaged.
     """

@@ -110,7 +110,7 @@ def _found() -> Path | str:
 
 
 def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
-    """Give a kernel its shipped machine code for arguments of these types; returns False if none fits."""
+    """Give a kernel its shipped machine code for arguments of these types; return False if none fits."""
     shipped = folder()
     name = None if shipped is None else file_name(dispatcher, kinds)
     if shipped is None or name is None:

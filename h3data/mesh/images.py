@@ -19,8 +19,9 @@ from h3data.mesh.mesh import Texture
 from h3data.mesh.png import MAX_PX
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
-MAX_SIDE_PX = 2048
-"""Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each."""
+MAX_SIDE_PX, MAX_FILE_PX = 2048, 1 << 27
+"""Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each. All images
+of one file have at most `MAX_FILE_PX` texels (512 MiB): beyond it, the largest are reduced until they fit."""
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
@@ -42,11 +43,9 @@ def image_size(data: bytes | memoryview) -> tuple[int, int]:
 
 
 def largest_side(sizes: list[tuple[int, int]]) -> int:
-    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into 512 MiB."""
+    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into `MAX_FILE_PX`."""
     side = MAX_SIDE_PX
-    # limit of texels in all images of one file (512 MiB): beyond it, the largest are reduced until they fit
-    max_file_px = 1 << 27
-    while side > 1 and sum(np.prod(reduced_size(w, h, side), dtype=np.int64) for w, h in sizes) > max_file_px:
+    while side > 1 and sum(np.prod(reduced_size(w, h, side), dtype=np.int64) for w, h in sizes) > MAX_FILE_PX:
         side //= 2
     return side
 

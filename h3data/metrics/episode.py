@@ -62,7 +62,7 @@ class EpisodeMetrics:
 
     @property
     def encounter_row(self) -> int:
-        """Row in which the robot first found the human; -1 = never, or not looked for."""
+        """Row in which the robot first found the human; -1 = never, or not computed."""
         return self.moments.get("found", NEVER)
 
     @property

@@ -103,7 +103,7 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
         with names_from_data():
             return find_profile(str(declared), task)
     except H3DataError as fault:
-        # the name comes from a file: who reads it did not choose it, and is told where it stands
+        # the name comes from a file, so the error names the file: its reader did not choose the name
         raise (UntrustedNameError if isinstance(fault, UntrustedNameError) else InputError)(
             f"Recordings of {task!r} ask for the metrics profile {declared!r}, which cannot be used: {fault} "
             f"Hint: choose another profile; {ANY_TASK} measures any task.",

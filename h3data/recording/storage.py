@@ -25,6 +25,9 @@ import pyarrow.fs as pafs
 
 from h3data.errors import InputError
 
+SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
+"""Schemes that pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
+
 
 @dataclass(frozen=True, order=True)
 class RemotePath:
@@ -195,7 +198,7 @@ def masked(text: str) -> str:
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     """A path or URI as a `Path` or `RemotePath`; ``file://`` is local.
 
-    A URI that became a `Path` on its way, and thereby lost a slash (``s3:/bucket``), counts as a URI.
+    A URI that was converted to a `Path`, and so lost a slash (``s3:/bucket``), counts as a URI.
 
     Raises:
         InputError: the URI has a scheme that pyarrow.fs does not open, or no bucket or folder.
@@ -206,15 +209,13 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     # at least two letters, as a Windows drive is no scheme; one slash is enough, because `Path` joins two
     uri = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
     match = uri.fullmatch(text)
-    # schemes that pyarrow.fs opens; ``mock`` is memory of this process, for tests
-    schemes = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
     # a Windows drive or a name with a colon is no URI; ``s3:/bucket`` is one that a `Path` has shortened
-    if match is None or not (match["double"] or match["scheme"].lower() in schemes):
+    if match is None or not (match["double"] or match["scheme"].lower() in SCHEMES):
         return Path(path)
     scheme, rest = match["scheme"].lower(), match["rest"]
-    if scheme not in schemes:
+    if scheme not in SCHEMES:
         raise InputError(
-            f"Expected a path or a URI of {', '.join(schemes)}, got {scheme}://: {masked(text)}",
+            f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}",
             code="H3-RECORDING-118",
         )
     if scheme == "file":

@@ -114,7 +114,7 @@ class PosedRecording:
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
         for body in recording.bodies:
-            # a body with bones but without a skin in its file is shown as it is, rigid
+            # a body with bones but without a skin in its file is rendered as a rigid mesh
             if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
                 self._add_body(body, refs[body.asset])
         # before any pose: a robot whose model has changed would be shown with wrong joints

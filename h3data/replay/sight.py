@@ -15,6 +15,11 @@ SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
 AHEAD_PX, AHEAD_DEG = 48, 80.0
 
 
+CARRIED_M, CLEARANCE_M = 0.6, 0.1
+"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; half the width of a free line, and
+the distance at which it ends in front of an obstacle [m]."""
+
+
 class Sight:
     """Lines of sight between points at any step; agents and ``hidden_layers`` do not obstruct them."""
 
@@ -24,14 +29,12 @@ class Sight:
         self._renderer = Renderer(scene)
         hidden = np.ones(len(scene.instances), np.bool_)  # instances beyond the drawables are light meshes of people
         moving = []
-        # size below which moving objects do not obstruct a view, as they are carried or soon gone [m]
-        carried_m = 0.6
         for index, (drawable, track) in enumerate(zip(replay.drawables, replay.tracks, strict=True)):
             if drawable.agent >= 0 or drawable.deformable:
                 continue
             if isinstance(track, BodyTrack):
                 size = np.ptp(np.asarray(drawable.mesh.bounds), axis=0) * np.abs(track.scale)
-                if size.max() < carried_m:
+                if size.max() < CARRIED_M:
                     continue
                 moving.append(index)
             if isinstance(track, JointTrack):
@@ -117,12 +120,10 @@ class Beam:
         """Pixels on the axis or next to it."""
 
     def free(self, depth: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
-        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within 0.1 m of the axis obstruct."""
-        # half the width of a free line, and the distance at which it ends in front of an obstacle
-        clearance_m = 0.1
-        blocks = self._on_axis | (depth * self._across < clearance_m)
+        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within `CLEARANCE_M` of the axis obstruct."""
+        blocks = self._on_axis | (depth * self._across < CLEARANCE_M)
         first = np.where(blocks, depth * self._along, np.inf).min(1)
-        return np.clip(first - clearance_m, 0.0, max_m)
+        return np.clip(first - CLEARANCE_M, 0.0, max_m)
 
 
 def _with_inf(depth: NDArray[np.float32]) -> NDArray[np.float64]:

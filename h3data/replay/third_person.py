@@ -21,6 +21,9 @@ from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
+PIVOT_M = {"robot": 0.55, "human": 1.25}
+"""Height above the floor of the point on the agent that the camera keeps in sight, by kind of agent [m]."""
+
 
 @dataclass(frozen=True)
 class FramingSpec:
@@ -151,9 +154,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
         other = None  # absent throughout
     base = forward_fill(recording.agent_column(leader, "base_pose").astype(np.float64))
-    # height above the floor of the point on the agent that the camera keeps in sight
-    pivots_m = {"robot": 0.55, "human": 1.25}
-    pivot = base[:, :3] + (0.0, pivots_m.get(kinds[leader], pivots_m["robot"]), 0.0)
+    pivot = base[:, :3] + (0.0, PIVOT_M.get(kinds[leader], PIVOT_M["robot"]), 0.0)
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
     person = (
         None if other is None else forward_fill(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]

@@ -80,7 +80,7 @@ def preset_names() -> list[str]:
 
 
 def is_collection(path: str) -> bool:
-    """Returns whether a path is by its ending that of a file that holds several scenes."""
+    """Return whether a path has the suffix of files that hold several scenes."""
     return any(reader.collection and path.endswith(reader.collection) for reader in scene_readers())
 
 

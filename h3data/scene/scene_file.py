@@ -56,7 +56,7 @@ from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME, FORMAT_VERSION = "h3data.scene", (1, 3)
 """Name and version (major, minor) of the format. A reader refuses a newer major version and ignores unknown fields. 1.1 added
-textures, 1.2 articulated things, 1.3 stairs; a file without the last two is of 1.1, the same bytes as before."""
+textures, 1.2 articulated things, 1.3 stairs; a file without the last two has version 1.1 and the bytes of that version."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 

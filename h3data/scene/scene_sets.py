@@ -53,7 +53,7 @@ class SceneSet:
     sha256: str
     """Digest of the file: an interrupted dataset can only be continued with the same set."""
     skipped: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
-    """Indexes of episodes that a task leaves out because they cannot be sampled or completed, by task and id of the
+    """Numbers of episodes that a task leaves out because they cannot be sampled or completed, by task and id of the
     scene."""
 
     @property

@@ -27,6 +27,12 @@ SEAT_SIDES = {
 """Categories of furniture with seats, and where people sit down on them."""
 
 
+HEIGHTS_M, LEAST_M, ABOVE_M, BED_STEP_M = (0.2, 0.7), 0.2, 0.05, 0.6
+"""Range of the heights of seats above the furniture's own floor; least width and depth of a seat; shapes that rise above a seat
+by more than `ABOVE_M` stand in the way of the back; distance between places to sit along the side of a bed, and the width of
+one place on a sofa [m]."""
+
+
 class Seat(NamedTuple):
     """A place to sit."""
 
@@ -80,33 +86,25 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, t
     boxes = np.array([box for shape in asset.shapes if (box := _box(shape, scale)) is not None]).reshape(-1, 2, 3)
     size = boxes[:, 1] - boxes[:, 0]
     top = boxes[:, 1, 1]
-    # range of the heights of seats above the furniture's own floor
-    heights_m = (0.2, 0.7)
-    # least width and depth of a seat
-    least_m = 0.2
-    seat = (top > heights_m[0]) & (top < heights_m[1]) & (size[:, [0, 2]].min(1, initial=np.inf) >= least_m)
+    seat = (top > HEIGHTS_M[0]) & (top < HEIGHTS_M[1]) & (size[:, [0, 2]].min(1, initial=np.inf) >= LEAST_M)
     if not seat.any():
         return
     # the largest, because armrests and legs may have tops at the height of a seat too
     k = int(np.argmax(np.where(seat, size[:, 0] * size[:, 2], 0.0)))
     (x0, _, z0), (x1, y, z1) = boxes[k]
-    # distance between places to sit along the side of a bed, and the width of one place on a sofa
-    bed_step_m = 0.6
     if SEAT_SIDES[asset.category] == "sides":
         # not at the ends of the bed, where its head and foot are
-        count = max(int((z1 - z0) / bed_step_m) - 1, 1)
+        count = max(int((z1 - z0) / BED_STEP_M) - 1, 1)
         for along in np.linspace(z0, z1, count + 2)[1:-1]:
             # the head of a bed is behind its front
             yield np.array([x1, y, along]), np.pi / 2, x1 - x0, (along - z0, along - z1)
             yield np.array([x0, y, along]), -np.pi / 2, x1 - x0, (z0 - along, z1 - along)
         return
-    # shapes that rise above a seat by more than this stand in the way of the back
-    above_m = 0.05
     # backrests: what rises above the rear half of the seat
-    above = (top > y + above_m) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
+    above = (top > y + ABOVE_M) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
     # without a backrest, one sits as deep as the seat is
     back = float(boxes[above, 1, 2].max(initial=z0))
-    count = max(int((x1 - x0) / bed_step_m), 1)
+    count = max(int((x1 - x0) / BED_STEP_M), 1)
     for across in x0 + (np.arange(count) + 0.5) * (x1 - x0) / count:
         yield np.array([across, y, z1]), 0.0, z1 - back, (x1 - across, x0 - across)
 

@@ -89,7 +89,7 @@ def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, see
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         waiting: deque[Future[None]] = deque()
-        for start, size in blocks:  # drawn in one order, whoever averages
+        for start, size in blocks:  # sampled in one order, whichever thread averages
             rows = random.integers(0, count, (size, count))
             waiting.extend(pool.submit(average, column, start, rows) for column in range(len(columns)))
             # indices are drawn faster than they are averaged: what waits in memory is bounded

@@ -182,7 +182,7 @@ def _influences_of_operator(skin: SkinnedMesh) -> Influences:
 
 
 def _influences(joints: NDArray[np.integer], weights: Array) -> Influences:
-    """With weights that sum to 1 as closely as float32 can."""
+    """Return the skin with weights that sum to 1 as closely as float32 can."""
     shares = weights.astype(np.float64)
     shares /= shares.sum(1, keepdims=True)
     return Influences(joints=joints.astype(np.uint8), weights=shares.astype(np.float32))

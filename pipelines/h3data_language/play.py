@@ -1,4 +1,4 @@
-"""Live play of tasks in words: what players are told and offered, what they can do, and what they say."""
+"""Live play of tasks in words: instructions and choices for players, their commands, and their messages."""
 
 from __future__ import annotations
 

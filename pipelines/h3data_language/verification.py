@@ -30,7 +30,7 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.runner import run
 
 TRIES = 20
-"""So many episodes of a home in sequence may be no task."""
+"""Largest number of consecutive episodes of a home that may fail to be a task."""
 
 
 class PlayedTask(NamedTuple):

@@ -11,8 +11,9 @@ import numpy as np
 
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.humanoid_file import load_humanoid
+from h3data.bodies.people.soles import runs
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array
+from h3data.geometry import IDENTITY_POSE
 from h3data_motion.clip import Motion
 from h3data_motion.cycle import find_loop
 from h3data_motion.files import load_motion, motion_bytes, read_motion
@@ -100,7 +101,7 @@ def _walked(motion: Motion) -> Motion:
             "unit of the file right (--unit-m of h3data motion import)?",
             code="H3-BODY-065",
         )
-    start, end = max(_runs(pace > WALKS_SHARE * fastest), key=lambda run: run[1] - run[0])
+    start, end = max(runs(pace > WALKS_SHARE * fastest), key=lambda run: run[1] - run[0])
     return motion.part(start / motion.fps, (end - 1 + count) / motion.fps)
 
 
@@ -112,14 +113,14 @@ def _uncut(motion: Motion, body: Humanoid) -> list[Motion]:
     whole = np.ones(len(motion), bool)
     whole[1:-1] = jumps < CUT_M + CUT_MPS2 / motion.fps**2
     least = (CYCLE_S[0] + 0.1) * motion.fps
-    runs = [(start, end) for start, end in _runs(whole) if end - start >= least]
-    if not runs:
+    kept = [(start, end) for start, end in runs(whole) if end - start >= least]
+    if not kept:
         raise InputError(
             f"Motion {motion.name!r}: expected {CYCLE_S[0] + 0.1:.1f} s without a jump, there are none. Hint: is it cut "
             "together, or are joints missing in some frames?",
             code="H3-BODY-066",
         )
-    return [motion.part(start / motion.fps, (end - 1) / motion.fps) for start, end in runs]
+    return [motion.part(start / motion.fps, (end - 1) / motion.fps) for start, end in kept]
 
 
 def _longest_walk(parts: list[Motion]) -> Motion:
@@ -133,9 +134,3 @@ def _longest_walk(parts: list[Motion]) -> Motion:
     if not walks:
         raise faults[0]
     return max(walks, key=lambda walk: walk.duration_s)
-
-
-def _runs(holds: Array) -> list[tuple[int, int]]:
-    """First and one after the last index of each run that holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(np.int8)))
-    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]

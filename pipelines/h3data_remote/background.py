@@ -15,7 +15,7 @@ from h3data_remote.adapter import Adapter
 from h3data_remote.wire import PolicyServerError
 
 RETRY_S = 2.0
-"""A server that is gone is looked for again this often."""
+"""Interval at which a lost server is contacted again."""
 
 
 class SlowPolicy(Protocol):

@@ -18,13 +18,13 @@ from h3data.plugins import names_from_data
 from h3data.recording import read_mcap, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data_remote.wire import PolicyServerError
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
-from sim_kinematic.tasks.episode import Episode, agent_base, agent_floor
+from sim_kinematic.tasks.episode import Episode, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import Recorder, describe
-from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
@@ -36,7 +36,7 @@ def packed_episode(task: Task, episode: Episode) -> bytes:
     """An episode as a recording file: scene, rules, agents and starts."""
     policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
     play = WorldRollout.of(task, episode, policies, measure=False)
-    recorder = Recorder(describe(task, episode, policies, reference=reference_of(task)), play)
+    recorder = Recorder(describe(task, episode, policies), play)
     run(play, recorder, steps=1)  # recordings have columns, so that there is a first step, in which nobody decides
     recording = recorder.finish({})
     with tempfile.TemporaryDirectory() as folder:
@@ -117,6 +117,6 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
 
 def _no_traffic() -> Any:
     raise PolicyServerError(
-        "This policy heeds everybody in the world that it plays in, and cannot decide behind a server.",
+        "This policy gives way to everybody in the world that it plays in, and cannot decide behind a server.",
         code="H3-REMOTE-037",
     )

@@ -32,7 +32,7 @@ class _Edge:
 
 
 class TransformTree:
-    """Frames that hang in each other, each at the poses that it was told to have."""
+    """Tree of frames, each with the poses that were received for it."""
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
@@ -43,7 +43,7 @@ class TransformTree:
     def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
         """Add the pose [7] of a frame in its parent at a time; ``still`` ones hold for ever."""
         edge = self._edges.get(child)
-        # a frame has one parent for the whole bag, the last that it was told; poses in another one are forgotten
+        # a frame has one parent for the whole bag, the last one received; poses in other parents are dropped
         if edge is None or edge.parent != parent:
             edge = self._edges[child] = _Edge(parent)
         edge.times.append(time_ns)
@@ -51,7 +51,7 @@ class TransformTree:
         edge.still, edge.arrays = still, None
 
     def times_of(self, frame: str, root: str) -> NDArray[np.int64]:
-        """Return the stamps [N] of the transform between ``root`` and ``frame`` that is told most often."""
+        """Return the stamps [N] of the most frequent transform between ``root`` and ``frame``."""
         most = np.zeros(0, np.int64)
         for child in (*self._chain(frame), *self._chain(root)):
             edge = self._edges.get(child)
@@ -66,7 +66,7 @@ class TransformTree:
     def poses(self, frame: str, root: str, times: NDArray[np.int64], gap_ns: int) -> NDArray[np.float64]:
         """Return the poses [T, 7] of ``frame`` in ``root`` at times [T]; both must be connected.
 
-        Between stamps poses are interpolated. The transform that is told most often must have stamps no farther apart than
+        Between stamps poses are interpolated. The most frequent transform must have stamps no farther apart than
         ``gap_ns``, else the pose is NaN; slower ones, as corrections of a localization, are interpolated over any time and
         hold before their first and after their last stamp.
         """

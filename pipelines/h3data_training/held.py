@@ -87,7 +87,7 @@ class ActionRepeat:
         self.totals.add_(sums)
 
     def _step_held(self, k: int) -> Any:
-        """Step ``k`` of an action, in place; returns what `_counted` has to know of the state before."""
+        """Play step ``k`` of an action, in place, and return what `_counted` needs of the state before it."""
         raise NotImplementedError
 
     def _long_enough(self) -> Tensor | None:

@@ -84,7 +84,7 @@ def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Te
 
 
 class ActorCritic(nn.Module):
-    """A recurrent actor, and a critic that is told where everybody is."""
+    """A recurrent actor, and a critic that observes the positions of all agents."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
@@ -249,7 +249,7 @@ def network(settings: Settings) -> ActorCritic:
 
 
 def warm_start(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
-    """Replace the actor by a trained one; returns what its card says of its training, and of what came before that.
+    """Replace the actor by a trained one. Return the entries of its card on its training, and on earlier training.
 
     Raises:
         InputError: it is shown other things, drives another robot, or has other layers.

@@ -145,7 +145,7 @@ class Learner:
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
-        """Collect one rollout and learn from it; returns a row of the learning curve."""
+        """Collect one rollout, learn from it, and return a row of the learning curve."""
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()

@@ -126,7 +126,7 @@ def require_light(settings: Settings, device: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """Arguments of `train`, as its processes are told."""
+    """Arguments of `train` that are passed to its processes."""
 
     folder: Path
     settings: Settings

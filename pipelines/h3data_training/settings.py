@@ -243,8 +243,8 @@ RECIPES: dict[str, Settings] = {
         minutes=10.0,
     ),
 }
-"""``paper``: as published, but for the critic, which is told the map, and the rate, which falls. ``fast``: one GPU,
-minutes. ``tiny``: a CPU core, and no pictures: the robot is told where the person and walls are."""
+"""``paper``: as published, except that the critic observes the map, and the learning rate falls. ``fast``: one GPU,
+minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions of the person and walls."""
 
 
 def recipe(name: str, **changes: Any) -> Settings:

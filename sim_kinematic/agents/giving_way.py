@@ -97,7 +97,7 @@ class GivingWay:
 
     @cached_property
     def _contacts(self) -> AgentContacts:
-        """FCL's shapes; in most episodes nobody comes so near that they are needed."""
+        """Shapes of FCL, made when two agents first come near enough to need them, which is rare."""
         return AgentContacts(*(body_shapes(body) for body in self.bodies))
 
     def track(self, number: int) -> NDArray[np.float64]:
@@ -172,7 +172,7 @@ class GivingWay:
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent, as it is now; of a robot those of its empty hand."""
+        """Discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; for a robot, those with an empty hand."""
         actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
         if isinstance(actor, RobotActor):
             offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
-from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
+from h3data.bodies.people.arms import ARM_JOINTS, CARRY_CLOSE, CARRY_JOINTS, draw_in
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
 from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
@@ -63,22 +63,30 @@ HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 SNAP_M = 0.01
 """Distance from its palm within which a hand takes hold of an object [m]."""
+EASE_M, JOINT_STEP_RAD = 0.08, 0.18
+"""Part of the path over which the trunk goes from standing to reaching [m], where an empty hand may leave its line by 8 mm;
+largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed it."""
+SETTLE_STEPS, CLOSE_ENOUGH = 45, 0.1
+"""Number of steps within which feet get to their standing places; remaining distance from the carrying pose, as a share, at
+which a person begins to walk."""
 FADE_STEPS = 12
-"""Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
+"""Steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
 """Length and half thickness of a bone of a finger [m]."""
-REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
-"""Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, at most, and by
-which it changes in a step."""
+REST_CURL, OPEN_CURL, HANDLE_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 0.9, 1.1, 0.12
+"""Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, around a handle, at
+most, and by which it changes in a step."""
 CLOSES_FROM = 0.8
 """Share of the path to a thing from which on a hand closes."""
-ARM_PARTS = ("collar", "shoulder", "elbow", "wrist")
 ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
     side: np.array(
-        [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", *(f"{side}_{part}" for part in ARM_PARTS))]
+        [
+            JOINT_INDEX[name]
+            for name in ("spine1", "spine2", "spine3", *(f"{side}_{part}" for part in ("collar", *ARM_JOINTS)))
+        ]
     )
     for side in ("left", "right")
 }
@@ -303,8 +311,7 @@ class Person:
         """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
-        # 45: number of steps within which feet get to their standing places
-        for _ in range(45):
+        for _ in range(SETTLE_STEPS):
             if self.walk.stands:
                 return
             self.stride()
@@ -417,8 +424,7 @@ class Person:
             return _unreached(answer)
         yield from self._look(np.asarray(points, np.float64)[0])
         for share in self._move(hand, self._path_out(hand, local[0]), ends=(0.0, 1.0)):
-            # 0.9: bend of each joint of a finger around a handle [rad]
-            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else 0.9
+            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
             yield
         out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
         # up to the first point out of reach: a hand that has let go does not take hold again farther on
@@ -477,12 +483,9 @@ class Person:
             yield 0.0
         poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
-        # largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a
-        # joint would exceed it
-        joint_step_rad = 0.18
-        if fastest > joint_step_rad:
+        if fastest > JOINT_STEP_RAD:
             # how fast joints turn only the poses tell: the line is solved again, slower by the excess
-            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / joint_step_rad)
+            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
             # those of a reach look at the target at once: up to 480 degrees a second
@@ -633,8 +636,7 @@ class Person:
     def _take_close(self, hand: Hand) -> Generator[None, None, None]:
         """Stands until what a hand has taken is as close to the body as the room for turning and walking asks for."""
         for _ in range(FADE_STEPS):
-            # 0.1: remaining distance from the carrying pose, as a share, at which a person begins to walk
-            if self._wanted_close(hand) <= self._close[hand] + 0.1:
+            if self._wanted_close(hand) <= self._close[hand] + CLOSE_ENOUGH:
                 return
             self.stride()
             yield
@@ -682,12 +684,9 @@ def joint_steps(quats: Array) -> Array:
 
 
 def _eased(way: Array, ends: tuple[float, float]) -> Array:
-    """Weights [T] that go over between ``ends`` and 1 within 8 cm of either end of the way [T] [m]."""
-    # part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave
-    # its line by 8 mm
-    ease_m = 0.08
+    """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
     # both eases have to fit into a short way; one of no length needs a divisor other than 0
-    ease = min(ease_m, way[-1] / 2) or 1.0
+    ease = min(EASE_M, way[-1] / 2) or 1.0
     weight = np.ones_like(way)
     for from_end, value in ((way, ends[0]), (way[-1] - way, ends[1])):
         u = np.clip(from_end / ease, 0, 1)

@@ -23,6 +23,9 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
+WAYS_KEPT, ANSWERS_KEPT = 1000, 10_000
+"""Paths of a body's hand that are remembered, 30 kB each, and answers, 300 bytes each. A home has about 500 paths: one for each
+height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
@@ -63,8 +66,7 @@ class BodyClearance:
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:
-            # 10_000: answers that are remembered, 300 bytes each
-            if len(self._answers) >= 10_000:
+            if len(self._answers) >= ANSWERS_KEPT:
                 self._answers.clear()
             self._answers[asked] = self._is_clear(stand, point, hand)
         return self._answers[asked]
@@ -91,10 +93,7 @@ class BodyClearance:
         # spacing of the frames of the hand's path that are checked; the last one always is
         every = 4
         if seen not in self._ways:
-            # 1000: paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for
-            # each height of its surfaces and each distance of a stand. With 200, half of the time of
-            # `is_clear` went into computing them again.
-            if len(self._ways) >= 1000:
+            if len(self._ways) >= WAYS_KEPT:
                 self._ways.pop(next(iter(self._ways)))
             quats, pelvis = [], []
             for full in (False, True):

@@ -37,6 +37,9 @@ SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
+HALT_STEPS, TURN_PATIENCE_STEPS = 30, 10
+"""Number of steps in which a walking person who is asked to turn comes to a stand, and for which they wait for room to turn on
+the spot; after them they turn while walking."""
 
 
 class _Posture(NamedTuple):
@@ -46,7 +49,7 @@ class _Posture(NamedTuple):
     quats: Array
     pelvis: Array
     feet: Array
-    """`h3data.bodies.people.planted_gait.PlantedWalk.state`."""
+    """State of the feet, `h3data.bodies.people.planted_gait.PlantedWalk.state`."""
     transition: Transition
     bare: Array
     """``quats`` without what fingers, head and eyes add."""
@@ -74,7 +77,7 @@ class PersonActor:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
     company: Company | None = None
-    """The agents that it heeds, itself among them; None: it is alone."""
+    """Agents that the person gives way to, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -93,7 +96,7 @@ class PersonActor:
         self._held_up = 0
         """Steps since the last one that was not stopped by others."""
         self._goes_around = False
-        """Turned away, they go by ways around who stands, until they get somewhere."""
+        """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     def meets(self) -> bool:
         """Returns whether the person touches somebody now: then they stay where they were."""
@@ -280,8 +283,7 @@ class PersonActor:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
         # turned away in mid-walk: the skill ends at a stand and not in the middle of a step
-        # 30: number of steps in which a walking person who is asked to turn comes to a stand
-        for _ in range(30):
+        for _ in range(HALT_STEPS):
             stands = self._gait.blend[0] == 0 and self.person.walk.stands
             if not self.turned_away or stands or (self.aside is not None and len(self.aside)):
                 break
@@ -330,9 +332,8 @@ class PersonActor:
             return 0
         if len(path):
             dx, dz = path[0] - self.xz
-            # 10: steps for which a person waits for room to turn on the spot; after them they turn while
-            # walking
-            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), 10)
+            turn = self.person.turn(float(np.arctan2(-dz, dx)), settles=False)
+            yield from self._careful(turn, TURN_PATIENCE_STEPS)
         # the turn has moved the root alone: the gait still has the old heading
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()

@@ -134,7 +134,7 @@ LONGEST_MESSAGE = 500
 
 
 class Message(NamedTuple):
-    """`Action.command` of a ``wait`` of no steps that tells other agents something."""
+    """`Action.command` of a ``wait`` of no steps that sends a message to other agents."""
 
     text: str
     to: str = ""

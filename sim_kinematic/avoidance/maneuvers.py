@@ -27,6 +27,14 @@ HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
 GAIN_M = 1.5
 """A maneuver ends as soon as it has shortened the path by this much."""
+MOVE_M, SLIDES_M, AGENT_GAP_M = 0.1, 0.02, 0.05
+"""Length of a move, also the side of a cell in which two poses count as one; length below which a first move along a wall is
+none; least gap to other agents [m]."""
+TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
+"""Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
+finds longer maneuvers sooner."""
+MOST_NODES = 30_000
+"""Poses that a search looks at before it gives up."""
 
 
 @kernel(error_model="numpy")
@@ -68,8 +76,6 @@ def _search(
     poses[0, 0], poses[0, 1], poses[0, 2] = x, z, heading
     parents[0], moved[0], count = -1, -1, 1
     heap = [(0.0, 0.0, 0)]
-    # cost of a turn by one cell
-    turn_cost_m = 0.06
     while len(heap) > 0:
         _, cost, node = heapq.heappop(heap)
         px, pz, ph = poses[node, 0], poses[node, 1], poses[node, 2]
@@ -102,9 +108,8 @@ def _search(
             gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
             # else a base pressed against a wall would creep along it by millimetres, through thousands of
             # nodes
-            # 0.02: a first move along a wall by less than this is none; a turn counts as at a distance of
-            # a cell from the middle
-            if gone < 0.02:
+            # a turn counts as at a distance of a cell from the middle
+            if gone < SLIDES_M:
                 continue
             a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
             c = int(math.floor(nh / sector + 0.5)) % HEADINGS
@@ -124,15 +129,15 @@ def _search(
             if not free:
                 continue
             way = moves[m, 0] * steps * dt
-            # 1.5: cost of a metre backwards, in metres
-            cost_here = cost + (way if way > 0 else -1.5 * way) + (turn_cost_m if moves[m, 1] != 0.0 else 0.0)
+            cost_here = (
+                cost + (way if way > 0 else -BACKWARDS_COST * way) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
+            )
             poses[count, 0], poses[count, 1], poses[count, 2] = nx_, nz_, nh
             parents[count], moved[count] = node, m
             turned = nh - bearing
             off = abs(turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5))
-            rest = max(left[a, b] - enough, 0.0) + max(off - facing, 0.0) / sector * turn_cost_m
-            # 1.5: weight of the remaining path: a higher one finds longer maneuvers sooner
-            heapq.heappush(heap, (cost_here + 1.5 * rest, cost_here, count))
+            rest = max(left[a, b] - enough, 0.0) + max(off - facing, 0.0) / sector * TURN_COST_M
+            heapq.heappush(heap, (cost_here + GREED * rest, cost_here, count))
             count += 1
     return -1
 
@@ -164,7 +169,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
-    # one flood from the goal tells the search for every pose how far the robot has still to go
+    # one distance map from the goal gives the search the remaining path of every pose
     left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
@@ -178,11 +183,9 @@ def plan_maneuver(
     # an agent that is nearer already must not rule out every command: the robot may move away from it
     for disc in wide:
         now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
-        # 0.05: least gap to other agents [m]
-        disc[2] = min(disc[2] + base.disc_radius_m + 0.05, now - 1e-3)
-    most_nodes = 30_000
-    poses, parents = np.empty((most_nodes, 3)), np.empty(most_nodes, np.int64)
-    moved = np.empty(most_nodes, np.int64)
+        disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
+    poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
+    moved = np.empty(MOST_NODES, np.int64)
     slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m
     node = -1
     for slides in (False, True):  # a base wedged between two walls cannot move without sliding
@@ -224,11 +227,9 @@ def plan_maneuver(
 def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
     """Return the velocities (m/s, rad/s) of the moves [M, 2], and the steps that each of them takes."""
     turn = 2 * math.pi / HEADINGS
-    # length of a move, also the side of a cell in which two poses count as one
-    move_m = 0.1
     # a move takes whole steps, and changes its cell: a shorter one would be thrown away as seen before
-    steps = math.ceil(max(move_m / (base.max_speed_mps * STEP_S), turn / (base.max_turn_rad_s * STEP_S), 3.0))
-    ahead, aside = move_m / (steps * STEP_S), turn / (steps * STEP_S)
+    steps = math.ceil(max(MOVE_M / (base.max_speed_mps * STEP_S), turn / (base.max_turn_rad_s * STEP_S), 3.0))
+    ahead, aside = MOVE_M / (steps * STEP_S), turn / (steps * STEP_S)
     moves = [(ahead, 0.0), (ahead, aside), (ahead, -aside), (0.0, aside), (0.0, -aside)]
     if base.allow_back:
         moves += [(-ahead, 0.0), (-ahead, aside), (-ahead, -aside)]

@@ -75,7 +75,7 @@ class _Request:
     chose_at: tuple[float, float, float] | None = None
     """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
-    """Position [2] of the other at the last look."""
+    """Position [2] of the other agent when it was last observed."""
 
 
 class RightOfWay:
@@ -89,7 +89,11 @@ class RightOfWay:
         *,
         asks: bool = True,
     ) -> None:
-        """With ``errand``, the progress of an agent's task, stand-offs are ended; with ``asks`` False nothing else is done."""
+        """Begin without any stand-off.
+
+        ``errand`` returns the progress of an agent's task, from which stand-offs are found and ended; if ``asks`` is False,
+        nothing else is done.
+        """
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks

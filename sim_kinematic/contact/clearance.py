@@ -120,7 +120,7 @@ class RobotHumanContact:
 
 @lru_cache(maxsize=HOMES_KEPT)
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
-    """Return a test whether the whole resting robot at a base pose (pose7) overlaps nothing static in a scene.
+    """Return a test that is True if the whole resting robot at a base pose (pose7) overlaps nothing static in a scene.
 
     Its feet may stand on anything up to `FLOOR_M`. FCL decides, because the discs of the base cover neither its rear nor its
     arm.

@@ -2,7 +2,7 @@
 
 FCL decides whether shapes touch; the inner loop of walking and driving reads `FreeSpace` instead. Three rules keep the answers
 of python-fcl right: only primitives and convex hulls, never triangle meshes; one geometry per object, since contacts name
-geometries; and the broad phase is told about every move.
+geometries; and the broad phase is informed of every move.
 """
 
 from __future__ import annotations

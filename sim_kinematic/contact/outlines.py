@@ -9,8 +9,9 @@ import numpy as np
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 
-LEG_RADIUS_M = 0.06
-"""Radius of a shin with trousers."""
+LEG_RADIUS_M, LEG_HEIGHT_M = 0.06, 0.3
+"""Radius of a shin with trousers; height of the plane in which legs are cut, as scanners of mobile robots are at 0.1 to 0.4 m
+[m]."""
 _KNEES, _ANKLES = ([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")] for joint in ("knee", "ankle"))
 
 
@@ -23,9 +24,7 @@ def shins(joints: Array) -> Array:
     knee, ankle = joints[:, _KNEES][..., :3, 3], joints[:, _ANKLES][..., :3, 3]
     # a knee that is not above its ankle must not make the share infinite
     rise = np.maximum(knee[..., 1:2] - ankle[..., 1:2], 1e-6)
-    # height of the plane in which legs are cut: scanners of mobile robots are at 0.1 to 0.4 m
-    leg_height_m = 0.3
-    share = np.clip((leg_height_m - ankle[..., 1:2]) / rise, 0.0, 1.0)
+    share = np.clip((LEG_HEIGHT_M - ankle[..., 1:2]) / rise, 0.0, 1.0)
     return (ankle + share * (knee - ankle))[..., [0, 2]]
 
 

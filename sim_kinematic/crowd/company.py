@@ -18,6 +18,8 @@ from sim_kinematic.motion.stride import point_along
 GAZE, COHESION, REPULSION = 4.0, 3.0, 1.0
 """Weights of Moussaid et al. 2010: for turning the head to the others [1/(s rad)], for the group's centre and for members who
 are too near [m/s2]."""
+TOO_NEAR_M, CLOSED_M2 = 0.8, 0.2
+"""Members nearer than this repel each other [m]; area of floor that a conversation may cut off from the rest [m2]."""
 AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
 """Place towards which members walk: its distance ahead, its largest distance beside the path, and its least room [m]."""
 VIEW_RAD = math.pi / 2
@@ -84,8 +86,7 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         distance = max(math.hypot(px, pz), 1e-6)
         others += 1
         cx, cz = cx + px, cz + pz
-        # 0.8: members nearer than this repel each other
-        if distance < 0.8:
+        if distance < TOO_NEAR_M:
             rx, rz = rx - px / distance, rz - pz / distance
     if others == 0:
         return wx, wz
@@ -167,8 +168,7 @@ def standing_circle(
         closed = closed_area(free, places) if leaves_way else 0.0
         if closed < least:
             least, chosen = closed, (places, np.asarray(centres[k]))
-        # 0.2: area of floor that a conversation may cut off from the rest [m2]
-        if closed < 0.2:
+        if closed < CLOSED_M2:
             break
     return chosen
 

@@ -26,8 +26,9 @@ ARRIVED_M = 0.4
 """A goal counts as reached within this distance."""
 ATTEMPTS = 8
 """Largest number of goals that are tried in one step, as some of them may have been reached already."""
-STUCK_PATHS, AWAY_M = 4, 1.0
-"""Number of goals that people who are stuck compare, and the distance along the path at which they look for others [m]."""
+STUCK_PATHS, AWAY_M, WAY_M = 4, 1.0, 1.5
+"""Number of goals that people who are stuck compare, the distance along the path at which they look for others, and the length
+of the path before them on which people who stay there make room [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
 VERSION = 3
@@ -313,9 +314,7 @@ class Crowd:
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
             count = self._counts[m]
-            # 1.5: length of the path before people who are stuck on which those who stay in their way
-            # make room [m]
-            ahead = self._along[m] + np.arange(0.0, 1.5, PASSING_M / 4)
+            ahead = self._along[m] + np.arange(0.0, WAY_M, PASSING_M / 4)
             way = np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
             near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
             self._until[standing[near]] = step

@@ -36,6 +36,10 @@ SEATED = 3.0
 """Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
+STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
+"""Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
+stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
+Moussaid et al. [s]."""
 
 
 @kernel(error_model="numpy")
@@ -48,9 +52,7 @@ def reach_between(m, j, px, pz, radii, body):
     reach, line = radii[m] + radii[j], math.atan2(-pz, px)
     for k in (m, j):
         if k < len(body):
-            # 0.2: distance by which feet and hands of people reach farther ahead and behind than sideways
-            # [m]
-            reach += 0.2 * math.cos(body[k, 0] - line) ** 2
+            reach += STRIDE_M * math.cos(body[k, 0] - line) ** 2
     return reach
 
 
@@ -479,15 +481,11 @@ def step_crowd(
             )
         else:
             wx, wz = wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along[m], pace[m], decel)
-            # 0.1: distance from the place of a person who stands within which they do not step back to it
-            # [m]
-            if stays[m, 2] > 0.0 and math.hypot(path[-1, 0] - x, path[-1, 1] - z) < 0.1:
+            if stays[m, 2] > 0.0 and math.hypot(path[-1, 0] - x, path[-1, 1] - z) < NEAR_END_M:
                 wx, wz = 0.0, 0.0
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
-                # 0.5: time in which forces of a group become velocities: the time constant of
-                # Moussaid et al.
-                wx, wz = keep_company(sdf, origin, cell, m, company, places, wx, wz, 0.5, rules[18] > 0.0)
+                wx, wz = keep_company(sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0)
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
         if reaction[0] > 0.0:

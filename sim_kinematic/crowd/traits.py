@@ -92,6 +92,9 @@ class Traits(NamedTuple):
 
 LEAST_SPEED, MOST_SPEED = 0.5, 1.5
 """Smallest and largest free speed as multiples of the mean."""
+SPEED_SD, RIGHT_SHARE = 0.27, 0.85
+"""Standard deviation of free speeds over their mean: 0.35 m/s of 1.3 m/s, as between pedestrians of ETH and UCY. Share of
+people who keep to the right; measured crowds pass on their majority's side in 54 to 78% of encounters."""
 
 
 def sample_traits(seed: int, number: int, mean_speed_mps: float) -> Traits:
@@ -103,16 +106,12 @@ def sample_traits(seed: int, number: int, mean_speed_mps: float) -> Traits:
         mean_speed_mps: Mean free speed of people [m/s].
     """
     rng = generator(seed, "crowd_traits", world=number)
-    # 0.27: standard deviation of free speeds over their mean: 0.35 m/s of 1.3 m/s, as between pedestrians of ETH
-    # and UCY
-    share = float(np.clip(rng.normal(1.0, 0.27), LEAST_SPEED, MOST_SPEED))
-    # 0.85: share of people who keep to the right; measured crowds pass on their majority's side in 54 to 78% of
-    # encounters
+    share = float(np.clip(rng.normal(1.0, SPEED_SD), LEAST_SPEED, MOST_SPEED))
     return Traits(
         speed_mps=mean_speed_mps * share,
         relaxation_s=float(rng.uniform(0.4, 0.6)),
         reaction_s=float(rng.uniform(0.1, 0.3)),
         radius_m=0.34,
-        side=1.0 if rng.random() < 0.85 else -1.0,
+        side=1.0 if rng.random() < RIGHT_SHARE else -1.0,
         patience_s=float(rng.uniform(4.0, 8.0)),
     )

@@ -146,7 +146,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         # after the step, which moves all worlds: begun before it, new episodes would lose their first state
         if again.any():
             self._begin(again)
-        # what the stepper says of a world that begins anew is about its last episode
+        # facts from the stepper about a world that has begun again describe its last episode
         reward, terminated, truncated = np.where(going, reward, 0.0), going & terminated, going & truncated
         self._ended = terminated | truncated
         final: dict[str, Any] = {}

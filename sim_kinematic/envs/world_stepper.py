@@ -177,7 +177,8 @@ class WorldStepper:
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if not self._others and self._partner is not None:
             raise InputError(
-                "All agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-041"
+                "All agents are controlled from outside, so there is no partner. Hint: leave out partner.",
+                code="H3-ENV-041",
             )
 
     def _check_partner(self, k: int) -> None:
@@ -244,7 +245,7 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Sample episodes for the worlds ``where`` [W], then begins them; if one cannot be sampled, no world has changed.
+        """Sample episodes for the worlds ``where`` [W] and begin them. If one cannot be sampled, no world changes.
 
         Agents with skills then go on until one that acts must choose.
         """

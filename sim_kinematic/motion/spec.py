@@ -45,8 +45,9 @@ class BaseSpec:
     allow_back: bool = True
     """True if the base can drive backwards."""
     slide: Slide = "strict"
-    """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
-    step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
+    """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for step;
+    it moves as far as its most obstructed disc, so that other discs may get into walls (research: navigation-and-stepping
+    3.2)."""
     habitat: HabitatSlideSpec = HabitatSlideSpec()
     """Parameters for ``slide="habitat"``."""
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
@@ -276,10 +277,10 @@ class SkillSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class OracleSpec:
-    """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (h3data docs rearrangement).
+    """Rules of oracle skills like Habitat's, which a device can repeat step by step (h3data docs rearrangement).
 
-    Nobody heeds anybody. An agent that stands at a place from which a thing is reached, and faces it, takes it: it is in the
-    hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
+    Agents do not give way to each other. An agent that stands where it can reach a thing, and faces it, takes it:
+    the thing is in the hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
     """
 
     robot_steps: tuple[int, int] = (12, 14)

@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
-from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.roles import check_groups, read_role
 from sim_kinematic.crowd.routines import Routine, make_routine
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.learned import PREFIX, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
@@ -197,7 +196,7 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
 
 
 def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
-    """Find what a policy's name means and returns a function that makes the policy for an episode.
+    """Return a function that makes the policy with this name for an episode.
 
     Commands, environments, sessions, live play and plug-ins all look policies up here.
 
@@ -224,7 +223,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         return lambda episode, number: AssignedPolicy(choice, type(choice).__name__, kind)
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
-        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
+        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, agent_base(episode, number)), name, kind)
     raise InputError(
         f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
     )
@@ -295,11 +294,6 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
     )
 
 
-def _base(episode: Episode, number: int) -> BaseSpec:
-    """Return the base of a robot; for a person, whom no base limits, that of the rules."""
-    return base_of(episode.roster[number].body, episode.spec.robot)
-
-
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
     """Make a policy from an entry of a table or a plug-in.
 
@@ -311,5 +305,5 @@ def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
         return made
     # a function of two arguments is a policy itself; factories take three
     if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
-        return FunctionPolicy(made, _base(episode, number))
+        return FunctionPolicy(made, agent_base(episode, number))
     return made(task, episode, number)

@@ -13,7 +13,7 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 
 NEAR_M = 2.0
-"""A maneuver ends, or does not begin, where the person is nearer than this: it does not heed them."""
+"""A maneuver ends, or does not begin, where the person is nearer than this: it does not avoid them."""
 
 
 class Maneuvering:

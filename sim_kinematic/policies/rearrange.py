@@ -35,6 +35,12 @@ ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 
 
+REPLAN_STEPS, STRAIGHT_ON_STEPS, IN_REACH_M = 15, 10, 0.9
+"""Interval at which a robot that drives to an object chooses again, 1 while the person is close; number of steps over which the
+person's motion is extrapolated to find where they are going; distance to an object below which they may be about to take it
+[m]."""
+
+
 class HighLevelPolicy(Protocol):
     """Policy of the upper layer.
 
@@ -175,9 +181,7 @@ class Chooser:
             return ""
         if view.held_by[action.target] not in (NOBODY, view.agent):
             return "object_taken"
-        # 15: interval at which a robot that drives to an object chooses again [steps]; 1 while the person is
-        # close
-        if action.skill == "nav_to_object" and (view.close or view.step % 15 == 0):
+        if action.skill == "nav_to_object" and (view.close or view.step % REPLAN_STEPS == 0):
             better = self.prefer(view, self._left(view))
             if better is not None and better != action.target:
                 return "agents_close" if view.close else "replanned"
@@ -208,16 +212,13 @@ def persons_object(view: RearrangeView) -> int:
         return int(held[0])
     some = range(len(view.objects))
     left = [k for k in some if not view.at_goal[k] and view.held_by[k] == NOBODY and view.is_known(k)]
-    # 10: number of steps over which the person's motion is extrapolated to find where they are going
-    before = view.other_track[max(len(view.other_track) - 10, 0)]
+    before = view.other_track[max(len(view.other_track) - STRAIGHT_ON_STEPS, 0)]
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:
         return -1
-    # distance to an object below which an agent may be about to take it [m]
-    in_reach_m = 0.9
     if moved < 0.1:  # they stand: perhaps about to take what is before them
         gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
-        return left[int(np.argmin(gaps))] if min(gaps) < in_reach_m else -1
+        return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
     # who walks straight along the path to an object has shortened it by as much as they moved
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
     best = int(np.argmax(gain))

@@ -175,7 +175,7 @@ class Traffic:
         return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 
     def begin_turn(self, number: int, step: int) -> RobotTrafficAgent | WalkingAgent:
-        """Return an agent as it is in the world, with what it knows of the others."""
+        """Return an agent in its present state, with what it knows of the others."""
         if step != self._step:
             self._begin_step(step)
         actor = self.actors[number]

@@ -46,7 +46,7 @@ class AgentView(NamedTuple):
     extra: Mapping[str, Any]
     """Further data of the task, `Episode.extra`."""
     traffic: Callable[[], Traffic]
-    """Returns how the agents of this world heed each other, which those that wander share."""
+    """Return the traffic of this world, by which agents that wander give way to each other."""
     crowds: Callable[[], Crowds]
     """Returns the crowds of this world, which people who follow a model of crowds share."""
     observe: Observe | None = None

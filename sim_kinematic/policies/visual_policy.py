@@ -58,7 +58,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     network: str = "cnn_gru"
     """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
-    """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
+    """Length of an action: 2 for the base; skills that move the arm add its joints [n] and the grip [1]."""
     agent: str = "robot"
     """Agent that the policy controls: ``robot`` or ``human``."""
     objects: int = 0
@@ -66,7 +66,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     primitives: bool = True
     """True if a robot of rearrangement may choose the primitives of navigation."""
     temperature: float = 1.0
-    """Divisor of the scores of choices before one is drawn in play; below 1 the better ones are drawn more often than in
+    """Divisor of the scores of choices before one is sampled in play; below 1, better choices are sampled more often than in
     training."""
     training: dict[str, Any] = {}
     """Origin of the policy: recipe, seed, steps, hardware, versions."""
@@ -321,7 +321,7 @@ def picture_in(observations: tuple[str, ...]) -> str | None:
 def lengths(name: str, actions: int) -> tuple[int, int]:
     """Return how many numbers an observation has, and its encoding, for a policy with ``actions`` numbers of an action."""
     encoding = OF_COMMANDS[name]
-    # an action with an arm has one number for each joint, so it tells how many joints are observed
+    # an action with an arm has one number for each joint, from which the number of observed joints follows
     repeat = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0) if encoding.times == "joints" else 1
     return repeat * encoding.given, repeat * encoding.length
 

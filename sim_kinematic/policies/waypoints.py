@@ -52,7 +52,7 @@ class WanderPolicy:
         return actor.choice()
 
     def _goes_on(self, actor: RobotTrafficAgent | WalkingAgent) -> bool:
-        """Make the next step to the goal, else to another one; returns whether there was one to make."""
+        """Make the next step to the goal, else to another goal, and return whether there was a step to make."""
         if self._going is None:
             # the path to the last goal would else be taken for the one to the next
             actor.path = NO_PATH

@@ -249,7 +249,7 @@ class StateRenderer:
         return [camera.at(pose) for pose in poses]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
-        """Render N cameras per world; returns arrays by output, each [N * W, H, W', ...].
+        """Render N cameras per world and return arrays by output, each [N * W, H, W', ...].
 
         The first cameras of all worlds come first (`h3data.render.Renderer.render`).
         """

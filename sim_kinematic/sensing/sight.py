@@ -34,13 +34,16 @@ LOOK_STEPS = 6
 """Steps from one look to the next."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
+MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
+"""Distance of a thing from where it was seen beyond which it has been moved [m]; height above the surface of a place at which
+agents look at it [m]; height of a person's eyes as a share of their stature (Drillis and Contini 1966)."""
 
 
 class Places(NamedTuple):
     """Surfaces on which things may lie, as one agent knows them."""
 
     points: NDArray[np.float64]
-    """Middle of each [S, 3] [m]."""
+    """Middle of each surface, [S, 3] [m]."""
     looked: Flags
     """True if the agent has looked at it, [S]."""
     shut: NDArray[np.int64]
@@ -85,9 +88,7 @@ class Sight:
         surfaces = list(scene.receptacles())
         self.names = surface_names(scene)
         points = [(instance_matrix(i) @ np.append(r.center, 1.0))[:3] for i, r in surfaces]
-        # height above the surface of a place at which agents look at it [m]
-        above_m = 0.08
-        self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, above_m, 0.0])
+        self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, ABOVE_M, 0.0])
         self._joints = [joints.enclosing.get(name, ()) for name in self.names]
         self._eyes = np.array([floor_y + eye_height(body) for body in bodies])
         self.known = np.zeros((len(bodies), things), np.bool_)
@@ -129,8 +130,7 @@ class Sight:
             now, before = seen[:count] & ~self.hidden | (held_by == a), seen[count : 2 * count]
             # places that it does not know are NaN, and nothing has moved away from them
             with np.errstate(invalid="ignore"):
-                # 0.1: a thing farther than this from where it was seen has been moved [m]
-                moved = np.linalg.norm(self.where[a] - positions, axis=1) > 0.1
+                moved = np.linalg.norm(self.where[a] - positions, axis=1) > MOVED_M
             gone = self.known[a] & ~now & before & moved
             changes += [(a, k, True) for k in np.flatnonzero(now & ~self.known[a]).tolist()]
             changes += [(a, k, False) for k in np.flatnonzero(gone).tolist()]
@@ -196,8 +196,7 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
 def eye_height(body: Body) -> float:
     """Height of an agent's eyes over the floor [m]: of a robot, that of its highest camera at rest, else of its body's top."""
     if not isinstance(body, Robot):
-        # 0.936: height of a person's eyes as a share of their stature (Drillis and Contini 1966)
-        return 0.936 * body.height_m
+        return EYE_SHARE * body.height_m
     links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
     return max((float(body.camera_poses(c.name, links)[0, 1, 3]) for c in body.cameras), default=body.body_height_m)
 

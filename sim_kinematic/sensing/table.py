@@ -229,7 +229,7 @@ class Sensor(NamedTuple):
     """Number of times that the unit is repeated: once, for each object, joint of the arm, choice, or door and drawer that
     agents may choose to open."""
     of_other: bool = False
-    """True if the sensor tells something about another agent, which a single agent does not have."""
+    """True if the sensor measures something about another agent, so that a single agent does not have it."""
 
     @property
     def width(self) -> int:

@@ -6,12 +6,10 @@ A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only 
 
 from __future__ import annotations
 
-import io
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, Generic, TypeVar
 
 import msgspec
@@ -23,9 +21,10 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.plugins import names_from_data
 from h3data.recording import Agent, Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.recording.task_episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
-from h3data.scene import FreeSpace, Scene, save_scene, scene_digest
+from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, with_motion
 from sim_kinematic.policies.assignment import AssignedPolicy
@@ -317,14 +316,6 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
 
 
 # --- parts of several codecs ------------------------------------------------------------------------------------------
-@lru_cache(maxsize=4)
-def scene_attachment(scene: Scene) -> tuple[bytes, str]:
-    """Return the scene file and its digest: the same for all episodes in this home."""
-    buffer = io.BytesIO()
-    save_scene(scene, buffer)
-    return buffer.getvalue(), scene_digest(scene)
-
-
 def uid_of(what: str) -> str:
     """Return the identity of a recording, derived from a text that names all its inputs."""
     # uuid5 is a digest of the text: neither time nor chance is in it

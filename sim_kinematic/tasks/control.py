@@ -145,14 +145,14 @@ class Control:
     ) -> list[AssignedPolicy]:
         """Return for each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
 
-        ``changed`` says of each agent whether its own policy is another than the recorded one.
+        ``changed`` is True for each agent whose own policy is another than the recorded one.
         """
         raise NotImplementedError
 
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Put people on their recorded tracks; returns facts about that for the info, and what to call after each step.
+        """Put people on their recorded tracks. Return facts about them for the info, and a function to call after each step.
 
         ``since`` is the step from which robots follow other policies.
         """

@@ -17,7 +17,7 @@ from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.robot_base import agent_base, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, WalkerSpec
 
@@ -80,12 +80,6 @@ def sample_starts(
     """
     rng = generator(seed, stream)
     return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
-
-
-@lru_cache(maxsize=256)
-def agent_base(episode: Episode, number: int) -> BaseSpec:
-    """Return discs and limits of an agent that drives: a robot's own, else the rules'."""
-    return base_of(episode.roster[number].body, episode.spec.robot)
 
 
 @lru_cache(maxsize=256)

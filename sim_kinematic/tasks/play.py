@@ -196,7 +196,7 @@ class WorldRollout:
                 self.memory[name] = kept
 
     def advance(self, commands: Sequence[Command | None]) -> StepOutcome:
-        """Move all worlds one step and judges it.
+        """Move all worlds one step and judge it.
 
         Raises:
             InputError: No episode has begun, or the commands do not fit; then nothing has moved.

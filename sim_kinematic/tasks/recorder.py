@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import robot_digest
-from h3data.bodies.names import JOIN
+from h3data.bodies.names import JOIN, walk_attachments, walk_facts
 from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
@@ -26,7 +26,7 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.recording.assets.scenes import scene_records
+from h3data.recording.assets.scenes import scene_attachment, scene_records
 from h3data.recording.scans import scan_column
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
@@ -34,10 +34,14 @@ from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import scanner_facts
-from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
+from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
+
+BLOCK, SHORT_M = 30, 16.0
+"""Number of rows that the sink gets at once: one second, which is what a crash may lose. Largest length of sensors that are
+recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
 
 
 class Sink(Protocol):
@@ -50,7 +54,7 @@ class Sink(Protocol):
         """Append an event."""
 
     def skill(self, span: SkillSpan) -> int:
-        """Append a skill, running or ended, and returns its number."""
+        """Append a skill, running or ended, and return its number."""
         ...
 
     def input(self, event: InputEvent) -> Any:
@@ -105,14 +109,12 @@ class RecordedSensors:
                     "high": _one(high.tolist()),
                 }
                 # 16 bits are fine enough for short lengths only, and halve the size of a scan of many rays
-                # 16.0: largest length of sensors that are recorded in 16 bits, which resolve 4 mm at
-                # 8 m [m]
-                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= 16.0
+                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
                 self._types[column] = np.float16 if short else np.float32
 
     @classmethod
     def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
-        """Return the sensors that a recording holds, None if there are none; raises as the constructor does."""
+        """Return the sensors that a recording holds, or None if there are none. Errors are those of the constructor."""
         told = recording.episode.info.get("sensors")
         # info comes from a file and may hold anything
         found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
@@ -166,9 +168,7 @@ class Recorder:
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
         self._beside.append(tuple(self.beside.values()))
-        # number of rows that the sink gets at once: one second, which is what a crash may lose
-        block = 30
-        if len(self._rows) == block:
+        if len(self._rows) == BLOCK:
             self._close_block()
         self._take()
 
@@ -194,7 +194,7 @@ class Recorder:
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
-        """Return the whole recording, with what is known only at the end; closes the sink."""
+        """Close the sink and return the whole recording, with what is known only at the end."""
         # first, as it ends running skills, whose spans are taken down below
         self.play.finish()
         columns = self.columns()
@@ -270,14 +270,11 @@ def finished(
 
 # --- the header -------------------------------------------------------------------------------------------------------
 def describe(
-    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
+    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0"
 ) -> RecordingHeader:
-    """Return the header of a recording, known before the first step: agents, bodies, scene and rules.
-
-    ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
-    """
+    """Return the header of a recording, known before the first step: agents, bodies, scene and rules."""
     scene = episode.scene
-    file, digest = scene_attachment(scene)
+    (file, digest), (assets, bodies) = scene_attachment(scene), scene_records(scene)
     info = {
         **task.codec.info(episode, policies),
         "instruction": task.codec.instruction(episode),
@@ -285,7 +282,8 @@ def describe(
         "scene_sha256": digest,
         "categories": categories_of(scene),
     }
-    if reference:
+    # a task that no entry point names is found by ``module:Class``
+    if reference := reference_of(task):
         info["task"] = reference
     if task.profile:
         info["profile"] = task.profile
@@ -299,8 +297,6 @@ def describe(
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):
-        from h3data.bodies.names import walk_attachments, walk_facts
-
         walks, info["motions"] = walk_attachments(people), walk_facts(people)
     if crowd := {
         member.name: policy.policy.facts
@@ -320,7 +316,6 @@ def describe(
         created_by=f"h3data {own_version()}",
         info=info,
     )
-    assets, bodies = scene_records(scene)
     numbers = {name: k for k, name in enumerate(episode.moving)}
     return RecordingHeader(
         episode=record,

@@ -46,7 +46,7 @@ class Verification:
 
     @property
     def equal(self) -> bool:
-        """Return whether every stored value came out again, bit for bit."""
+        """Return whether every stored value was reproduced, bit for bit."""
         return self.difference is None
 
 

@@ -68,7 +68,7 @@ def task_of(recording: Recording) -> Task:
 
 
 def verify(recording: Recording) -> Verification:
-    """Simulate what was recorded and compares every stored column, and the hash of the state, step by step.
+    """Simulate a recording again and compare every stored column and the hash of the state step by step.
 
     Policies whose decisions are recorded are neither made nor asked. Values are equal bit for bit on one architecture;
     elsewhere the last bits of sines and square roots may differ.
@@ -96,7 +96,7 @@ def verify(recording: Recording) -> Verification:
 
 
 def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
-    """Play an episode with the robots' recorded decisions, and compares the outcome with the recording as `verify` does.
+    """Play an episode with the robots' recorded decisions, and compare the outcome with the recording as `verify` does.
 
     Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
     decide as their policy does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.

@@ -24,7 +24,6 @@ from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
-from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
@@ -119,7 +118,7 @@ def run(
     progress: Callable[[int], object] | None = None,
     note: Callable[[int, Any], object] | None = None,
 ) -> str:
-    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``; returns what ended it.
+    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``, and return the reason why it ended.
 
     ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
     """
@@ -158,7 +157,7 @@ def simulate(
     info: Mapping[str, Any] | None = None,
     sensors: Sequence[str] = (),
 ) -> Recording:
-    """Play one episode to its end and returns its recording.
+    """Play one episode to its end and return its recording.
 
     Args:
         task: Task to play.
@@ -178,7 +177,7 @@ def simulate(
     measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
     if measured is not None:
         info = {**(info or {}), "sensors": measured.facts}
-    header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
+    header = describe(task, episode, assigned, episode_id=episode_id)
     play = WorldRollout.of(task, episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
     try:
@@ -297,7 +296,7 @@ class Session:
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
         self.play = WorldRollout.of(task, episode, self.policies)
-        header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
+        header = describe(task, episode, self.policies, episode_id=episode_id)
         if info:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
@@ -420,7 +419,7 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """End the session and returns its recording; one that has not ended says so in ``info["ended"]``.
+        """End the session and return its recording; if the episode has not ended, ``info["ended"]`` says so.
 
         ``info`` is recorded too: entries that the caller knows only now.
         """

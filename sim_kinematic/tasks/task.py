@@ -175,7 +175,7 @@ class Task:
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Prepare the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``.
+        """Prepare the worlds ``rows`` [n], whose episodes have just begun, and keep what the task needs in ``play.memory``.
 
         Instead it may return arrays by name, [W, ...], with the values of worlds that begin now; only those of the worlds
         ``rows`` are taken over. A task that plays on a device keeps its memory in this way.
@@ -206,7 +206,7 @@ class Task:
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property
     def codec(self) -> EpisodeCodec[Any]:
-        """Write and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
+        """Codec of the task's episodes in files, recordings and words; by default a `TaskCodec`."""
         return TaskCodec(self)
 
     # --- policies -----------------------------------------------------------------------------------------------------

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.recording import Event, Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.tasks.codec import TaskCodec, scene_attachment, uid_of
+from sim_kinematic.tasks.codec import TaskCodec, uid_of
 from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task, TaskUsage

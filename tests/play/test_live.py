@@ -24,8 +24,8 @@ from h3data_play.messages import decode
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.wire import BUSY
 from h3data_play.worker import rehearse
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.step import discs_at
-from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
 from tests.motion.test_walks import walk

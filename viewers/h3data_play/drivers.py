@@ -39,9 +39,10 @@ from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, Message, sentence
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.tasks.episode import agent_base, agent_floor
+from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)

@@ -72,7 +72,7 @@ def network(address: str) -> str:
 
 
 def _sent(request: web.Request, task: asyncio.Task[None]) -> None:
-    """Nothing more is sent to a socket. One that took nothing for long, or broke, ends its reader too."""
+    """Stop sending to a socket. A socket that accepted nothing for long, or broke, also ends its reader."""
     if not task.cancelled() and task.exception() is not None and request.transport is not None:
         request.transport.abort()
 
@@ -133,7 +133,7 @@ class WebServer:
         self._begun_before = set(self.journal.games)
         """Games that other processes have begun, which may have come to their end."""
         self._said_full = -math.inf
-        """When the operator was told last that the database cannot be written."""
+        """Time of the last message to the operator that the database cannot be written."""
         self._loading: dict[str, float] = {}
         """When seats were given to browsers that have not connected since, by the clock."""
         self._gone: dict[str, float] = {}
@@ -263,7 +263,7 @@ class WebServer:
         )
 
     def _cookie(self, number: int) -> str:
-        # cookies do not heed ports: two sessions on one machine need names of their own
+        # cookies ignore ports: two sessions on one machine need names of their own
         name = hashlib.sha256(self.journal.links[number].encode()).hexdigest()[:8]
         return f"h3data_seat_{name}"
 

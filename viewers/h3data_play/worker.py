@@ -250,7 +250,7 @@ class Worker:
             for index in range(min(plan.episodes, MOST_AHEAD)):
                 home = source.homes[source.home_of(plan.seed, index)]
                 if not home.is_ready:
-                    with contextlib.suppress(H3DataError):  # when the episode begins, its player is told
+                    with contextlib.suppress(H3DataError):  # when the episode begins, its player gets a message
                         _ = home.scene, home.free
                     yield
 

@@ -226,7 +226,7 @@ class Preparer:
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
     def ask(self, order: GameOrder) -> asyncio.Future[None] | None:
-        """Have an episode prepared; returns None if nobody can do that, or nothing is to be done."""
+        """Have an episode prepared. Return None if no worker can do that, or if there is nothing to do."""
         key, spare = prepared_key(order), self._workers.ready_spare()
         if spare is None or self.made(order) is not None:
             return None

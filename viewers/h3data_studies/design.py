@@ -212,7 +212,7 @@ class Design(Record, frozen=True):
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
     """The first is the default."""
     minutes: Count | None = None
-    """Duration that participants are told [minutes]."""
+    """Duration that is announced to participants [minutes]."""
     about: Text = ""
     """Said above the consent text."""
     device: Device = Device()

@@ -469,7 +469,7 @@ class StudyServer(WebServer):
         return stage_view(self.design, participant, own_code=completion_code(participant.id, self._key))
 
     async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
-        """Gives the seat to another browser; the one before is told so."""
+        """Give the seat to another browser, and notify the previous one."""
         before = self.journal.seat_of(participant)
         self._note_address(request, self.journal.move(participant, token))
         if before is not None:

@@ -43,6 +43,9 @@ TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
 """Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
+ARM_RADIUS, INSET = 0.026, 0.02
+"""Radius of forearm and hand for the clearance, as a share of the shoulder's height; share of the path inside the valid volume
+by which advice keeps away from its border."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
 """The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
 _TRIED = 24
@@ -292,8 +295,7 @@ class ReachSolver:
             middle = (low + high) / 2
             good = self.reachable(starts + middle * (ends - starts))[:, None]
             low, high = np.where(good, middle, low), np.where(good, high, middle)
-        # 0.02: share of the path inside the valid volume by which advice keeps away from its border
-        inner = np.maximum(low - 0.02, 0) * (ends - starts) + starts
+        inner = np.maximum(low - INSET, 0) * (ends - starts) + starts
         # valid points need not be convex: one a little further inside may be invalid again
         return np.where(self.reachable(inner)[:, None], inner, starts)
 
@@ -338,7 +340,6 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
     obstacles = [c for c in body.capsules if c.name in kept_out]
     legs, ankles = body.gaits.legs, frames[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]], :3, 3]
     scale = _shoulder(body)
-    # 0.026: radius of forearm and hand for the clearance, as a share of the shoulder's height
     return ReachBody(
         scale=scale,
         sign=sign,
@@ -353,7 +354,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
         palm=grasp_point(body, hand),
         obstacles=np.array([[*c.start, *c.end, c.radius] for c in obstacles]).reshape(-1, 7),
         obstacle_joints=np.array([kept_out[c.name] for c in obstacles], np.int64),
-        arm_radius=0.026 * scale,
+        arm_radius=ARM_RADIUS * scale,
     )
 
 

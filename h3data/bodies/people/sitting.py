@@ -47,8 +47,14 @@ HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
-PATH_SINK_M = 0.012
-"""Depth by which skin may be behind the front edge on the path [m]."""
+PATH_SINK_M, BUTTOCKS_M = 0.012, 0.03
+"""Depth by which skin may be behind the front edge on the path [m]. Skin that is further ahead of the pelvis than `BUTTOCKS_M`
+does not carry: thighs that slope down would lift the body."""
+STEEPEST = 0.75
+"""Greatest slope of the thighs, as the share of their length by which hips and knees differ in height."""
+ARMS_BY, EARLY = 0.6, 0.05
+"""Share of the path at which the hands are on the thighs, because hanging ones would go through the seat; share over which a
+standing person's own pose is blended into the path."""
 TABLE = 61
 """Poses between standing and sitting that are computed for one seat, and as many up to lying; between them they are
 interpolated."""
@@ -113,8 +119,7 @@ class Sitting:
         mixed, path = _in_root(self.body, Posture(quats=mixed, pelvis=path, ankle=stand.ankle, foot=stand.foot))
         roots = np.tile(IDENTITY_POSE, (len(share), 1))
         laid = _hands_on_thighs(self.body, self.body.joint_matrices(roots, mixed, path))
-        # 0.6: share of the path at which the hands are on the thighs: hanging, they would go through the seat
-        early = np.repeat(np.minimum(share / 0.6, 1.0), len(_ARMS))
+        early = np.repeat(np.minimum(share / ARMS_BY, 1.0), len(_ARMS))
         hanging = mixed[:, _ARMS].reshape(-1, 4)
         mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), smoothstep(early)).reshape(laid.shape)
         return mixed, path
@@ -218,8 +223,7 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
         at = (seats[own, 1] - lies) * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
         share = (at - low)[:, None]
-        # 0.05: share of the path over which a standing person's own pose goes over into it
-        early = smoothstep(np.minimum(seats[own, 1] / 0.05, 1.0))[:, None]
+        early = smoothstep(np.minimum(seats[own, 1] / EARLY, 1.0))[:, None]
         quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
         place = places[low] + share * (places[low + 1] - places[low])
         pelvis[own] += early * (place - pelvis[own])
@@ -252,9 +256,7 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         drop = pelvis[1] + hips[1] - knee_y
         # the hip joints are further apart than the feet, so the thighs go a little inwards
         flat = legs.thigh**2 - drop**2 - (abs(hips[0]) - abs(ankle[0])) ** 2
-        # 0.75: greatest slope of the thighs, as the share of their length by which hips and knees differ in
-        # height
-        if not (np.isfinite(drop) and abs(drop) <= 0.75 * legs.thigh):
+        if not (np.isfinite(drop) and abs(drop) <= STEEPEST * legs.thigh):
             raise InputError(
                 f"{body.name} cannot sit with the feet on the floor on a seat at {seat_m:.2f} m. Expected about "
                 f"{knee_y - 0.2:.2f} to {knee_y + 0.15:.2f} m.",
@@ -264,9 +266,7 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
         # from the agent root's axes, forward, up and right, to right, up and forward
         vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
-        # 0.03: skin that is further ahead of the pelvis than this does not carry: thighs that slope down
-        # would lift the body
-        under = seat_skin & (vertices[:, 2] < pelvis[2] + 0.03)
+        under = seat_skin & (vertices[:, 2] < pelvis[2] + BUTTOCKS_M)
         pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     # shares of the path at which the front edge is kept out of the body

@@ -12,7 +12,8 @@ from h3data.kernels import kernel, kernel_part
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
 """Damping at the start, and its limits, in the unit of the squared singular values of the Jacobian, to which it is added."""
-PATIENCE = 4
+PATIENCE, GIVE_UP = 4, 1e-3
+"""A start is given up when a step takes away less than the share `GIVE_UP` of the error, `PATIENCE` times."""
 FREE_RANGE = math.pi
 """Greatest distance from 0 at which a joint without limits begins a new attempt."""
 
@@ -225,9 +226,7 @@ def solve_targets(
                 next_cost = next_error @ next_error
                 # Levenberg and Marquardt: a step that helps is taken and damps less, any other is taken back
                 if next_cost < cost:
-                    # 1e-3: a start is given up when a step takes away less than this fraction of
-                    # the error, `PATIENCE` times
-                    slow = slow + 1 if next_cost > (1 - 1e-3) * cost else 0
+                    slow = slow + 1 if next_cost > (1 - GIVE_UP) * cost else 0
                     cost, damping = next_cost, max(damping * 0.2, LEAST_DAMPING)
                     here[:] = there
                     ends[:] = next_ends

@@ -288,7 +288,7 @@ class Robot:
         return positions
 
     def camera(self, name: str) -> RobotCamera:
-        """Return the camera of the robot with a name."""
+        """Return a camera of the robot by its name."""
         for camera in self.cameras:
             if camera.name == name:
                 return camera

@@ -72,7 +72,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ahead, right, left and behind in which the arm reaches something."""
     legs: tuple[LegSettings, ...] = ()
     climbs_stairs: bool | None = None
-    """True if the robot walks up and down stairs (default: if it has legs). For other robots, stairs are walls."""
+    """True if the robot walks up and down stairs (default: True for robots with legs). For other robots, stairs are walls."""
     cameras: tuple[CameraSettings, ...] = ()
 
 

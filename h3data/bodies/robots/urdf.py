@@ -164,7 +164,7 @@ def _materials(robot: ElementTree.Element, issues: UrdfIssues) -> dict[str, tupl
 
 
 def _warn_of_skipped(robot: ElementTree.Element, issues: UrdfIssues) -> None:
-    """Warns of what stands for no link, joint or colour, and of textures, which are not read."""
+    """Warn of elements other than links, joints and colours, and of textures, which are not read."""
     skipped = Counter(e.tag for e in robot if e.tag not in ("link", "joint", "material"))
     skipped["texture"] += sum(1 for m in robot.iter("material") if m.find("texture") is not None)
     named = ", ".join(f"<{tag[:40]}>" + (f" ({n})" if n > 1 else "") for tag, n in skipped.items() if n)

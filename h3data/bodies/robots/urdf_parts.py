@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.mesh.mesh import Mesh
 
-PLANE_THICKNESS_M = 0.1
+PLANE_SIDE_M, PLANE_THICKNESS_M = 30.0, 0.1
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
+"""Kinds of files that a URDF may name; nothing else is ever opened for it."""
+MAX_PATH, MAX_LEVELS = 1024, 7
+"""Largest number of characters of a file's path, and of folders, that of the URDF and those above it, in which packages are
+looked for."""
 
 
 @dataclass
@@ -168,7 +173,6 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
             issues.faults.append(f"{where}, {name}: expected no negative number, got {value:g}")
         return value
 
-    plane_side_m = 30.0
     match shape.tag:
         case "box":
             x, y, z = read_numbers(shape.get("size"), 3, (0.0, 0.0, 0.0), f"{where}, size", issues)
@@ -182,7 +186,7 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
         case "capsule":
             return UrdfGeometry(kind="capsule", radius=number("radius"), length=number("length"))
         case "plane":
-            return UrdfGeometry(kind="box", size=(plane_side_m, plane_side_m, PLANE_THICKNESS_M))
+            return UrdfGeometry(kind="box", size=(PLANE_SIDE_M, PLANE_SIDE_M, PLANE_THICKNESS_M))
         case "mesh":
             sx, sy, sz = read_numbers(shape.get("scale"), 3, (1.0, 1.0, 1.0), f"{where}, scale", issues)
             if not (sx and sy and sz):
@@ -223,19 +227,17 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
     if not filename.strip():
         issues.warnings.append(f"{where}: its mesh has no file name, it is left out")
         return None
-    max_path = 1024
-    scheme, _, rest = filename[:max_path].strip().replace("\\", "/").rpartition("://")
+    scheme, _, rest = filename[:MAX_PATH].strip().replace("\\", "/").rpartition("://")
     scheme = scheme.lower()
     here = Path(os.path.abspath(folder))
-    # 7: the folder of the URDF and those above it in which packages are looked for
-    above = [p for p in (here, *here.parents) if p != p.parent][:7] or [here]  # never the root of the disk
+    above = [p for p in (here, *here.parents) if p != p.parent][:MAX_LEVELS] or [here]  # never the root of the disk
     # packages have their URDFs in a folder beside that of the meshes, so paths climb a little
     top = above[min(2, len(above) - 1)]
     fault = None
     if scheme not in ("", "file", "package", "model"):
         fault = "expected the path of a file"
-    elif len(filename) > max_path:
-        fault = f"expected at most {max_path} characters"
+    elif len(filename) > MAX_PATH:
+        fault = f"expected at most {MAX_PATH} characters"
     file = folder / rest
     climbs = "expected a path that climbs at most two folders above the URDF"
     if fault is None and scheme in ("package", "model"):
@@ -267,10 +269,8 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
             fault = climbs
         else:
             file = _on_disk(folder, rest) or file
-    # kinds of files that a URDF may name; nothing else is ever opened for it
-    mesh_suffixes = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
-    if fault is None and not rest.lower().endswith(mesh_suffixes):
-        fault = f"expected one of {', '.join(mesh_suffixes)}"
+    if fault is None and not rest.lower().endswith(MESH_SUFFIXES):
+        fault = f"expected one of {', '.join(MESH_SUFFIXES)}"
     if fault is None:
         return file
     issues.faults.append(f"{where}, filename: {fault}, got {filename[:80]!r}")

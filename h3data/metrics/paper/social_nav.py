@@ -80,7 +80,7 @@ class _Occurrences(NamedTuple):
 
 
 class _Counted(NamedTuple):
-    """Series of one episode as far as they are counted."""
+    """Series of one episode, up to the last row that counts."""
 
     found: _Occurrences
     contacts: _Occurrences

@@ -8,11 +8,6 @@ _POSES = ("agent_<robot>.base_pose", "agent_<human>.base_pose")
 _REACH = ("metrics.geodesic_agents",)
 _NO_POSES = "No row has a pose of both agents."
 _NO_ORACLE = "Found, but l is not recorded or the oracle never arrives."
-_FOUND_READING = (
-    "Found in row k: 1 <= distance <= 2 m, both ends included, and dot(f, u) > 0.5, where f is the robot's forward "
-    "vector and u the unit vector from robot to human, both on the floor plane. The distance is geodesic, as in the "
-    "paper's reward; without a geodesic column it is the L2 distance, and a note says so."
-)
 _ORACLE_READING = (
     "l is the oracle's minimum number of steps, stored by the simulator as info:oracle_min_steps; a recording without "
     "it has no {0}, unless the robot never finds the human: then {0} = 0 whatever l is."
@@ -33,7 +28,9 @@ SOCIAL_NAV: tuple[Metric, ...] = (
         undefined=_NO_POSES,
         series=("found", "in_reach", "facing", "reach_m", "facing_dot"),
         binary=True,
-        reading=_FOUND_READING,
+        reading="Found in row k: 1 <= distance <= 2 m, both ends included, and dot(f, u) > 0.5, where f is the robot's forward "
+        "vector and u the unit vector from robot to human, both on the floor plane. The distance is geodesic, as in the "
+        "paper's reward; without a geodesic column it is the L2 distance, and a note says so.",
         habitat="The same, except that the state after reset counts as a step.",
     ),
     Metric(

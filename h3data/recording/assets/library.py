@@ -97,7 +97,7 @@ class AssetLibrary:
 
     def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:
         """A clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
-        del body  # its scale is applied by whoever draws it; nothing else of it is known to bear on the size
+        del body  # its scale is applied by the renderer; nothing else in the file is known to affect the size
         return placeholder_mesh(clean_path(ref if isinstance(ref, str) else ref.uri))
 
     def _beside(self, uri: str) -> Path | None:

@@ -39,7 +39,7 @@ def placeholder_kind(uri: str) -> PlaceholderKind:
 def placeholder_mesh(uri: str) -> Mesh:
     """A striped stand-in for a missing file, in the frame of its node: +Y up (robot links: z up).
 
-    Sizes are what the path tells: furniture 0.4 m, standing on its origin (of 308 HSSD objects in a real session 181
+    Sizes follow from the path: furniture 0.4 m, standing on its origin (of 308 HSSD objects in a real session 181
     have their origin exactly at the floor), doors and windows 0.4 m around it, YCB objects 0.1 m, a person of 1.7 m
     around a pelvis at 0.9 m, a stage a floor of 40 m around the origin, Spot's links by name, other robots' links
     0.12 m.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from functools import lru_cache
 
 import numpy as np
 
 from h3data.recording.records import AssetRef, Body
-from h3data.scene import Scene
+from h3data.scene import Scene, save_scene, scene_digest
 
 
 # Episodes of a run often share their home.
@@ -27,3 +28,11 @@ def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]
         for i in scene.instances
     )
     return assets, bodies
+
+
+@lru_cache(maxsize=4)
+def scene_attachment(scene: Scene) -> tuple[bytes, str]:
+    """Return the scene file and its digest: the same for all episodes in this home."""
+    buffer = io.BytesIO()
+    save_scene(scene, buffer)
+    return buffer.getvalue(), scene_digest(scene)

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
+CHUNK_S, WORTH_BYTES = 10.0, 20
+"""Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part; saving per
+row [bytes] that is worth a longer chunk: 62 for a looping clip, 0 to 18 in our simulations."""
+
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
     """First row of each stretch of 10 s, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
@@ -21,11 +25,8 @@ def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
     if not len(times_ns):
         return [(0, 0)]
     since = times_ns.astype(np.float64) - float(times_ns[0])  # differences of int64 may overflow
-    # longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the
-    # missing part
-    chunk_s = 10.0
     # counted from the first row: a recording cut out of another does not begin at time 0
-    starts = np.flatnonzero(np.diff(since // (chunk_s * 1e9), prepend=-1.0))
+    starts = np.flatnonzero(np.diff(since // (CHUNK_S * 1e9), prepend=-1.0))
     return list(pairwise([*starts.tolist(), len(times_ns)]))
 
 
@@ -50,9 +51,7 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
     first, second, both = (
         len(zstandard.compress(rows[a:b].tobytes(), 1)) for a, b in ((start, middle), (middle, stop), (start, stop))
     )
-    # 20: saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our
-    # simulations
-    return first + second - both > 20 * (stop - start)
+    return first + second - both > WORTH_BYTES * (stop - start)
 
 
 class CutRecording:

@@ -61,7 +61,7 @@ FLUSH_S = 1.0
 
 
 class LogWriter:
-    """An MCAP log that is open for writing, exactly as it is flushed.
+    """An MCAP log that is open for writing, with exactly the rows that are flushed.
 
     As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
     ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every

@@ -16,7 +16,8 @@ from h3data.errors import FormatError
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<BQH")
+MESSAGE = struct.Struct("<BQH")
+"""Beginning of a message record: opcode, length and channel."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Times of the first and last message, uncompressed size and checksum, and length of the name of the compression."""
 _MESSAGE_HEAD = 22  # channel, sequence, log time, publish time
@@ -202,9 +203,9 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
 def _take_chunk(log: McapRecords, data: bytes, *, whole: bool = True) -> None:
     """Sorts the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
     view, position, size = memoryview(data), 0, len(data)
-    skip, unpack, messages = _RECORD.size + _MESSAGE_HEAD, _MESSAGE.unpack_from, log.messages
+    skip, unpack, messages = _RECORD.size + _MESSAGE_HEAD, MESSAGE.unpack_from, log.messages
     while position < size:
-        if not whole and position + _MESSAGE.size > size:
+        if not whole and position + MESSAGE.size > size:
             return
         opcode, length, channel = unpack(data, position)
         end = position + _RECORD.size + length

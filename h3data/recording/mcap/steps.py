@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.header import TOPIC_MESSAGES
 from h3data.recording.mcap.read import assemble, check_kind, columns_of, lacks_records, reconstruct
-from h3data.recording.mcap.scan import MAGIC, McapRecords, check_crc, decoding_errors, decompress, take
+from h3data.recording.mcap.scan import MAGIC, MESSAGE, McapRecords, check_crc, decoding_errors, decompress, take
 from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.records import Recording
 from h3data.recording.schema import layout_of
@@ -24,7 +24,6 @@ from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, open_binary
 
 _RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<BQH")
 _MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
 _ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _T = TypeVar("_T")
@@ -223,7 +222,7 @@ class McapSteps(Steps):
             chunk_stop = min(stop, before[number + 1])
             in_chunk = slice(start - before[number], chunk_stop - before[number])
             for at in begins[channel][in_chunk].tolist() if chunk_stop > start else ():
-                opcode, length, owner = _MESSAGE.unpack_from(data, at)
+                opcode, length, owner = MESSAGE.unpack_from(data, at)
                 end = at + _RECORD.size + length
                 if owner != channel or opcode != _MESSAGE_OP or end > len(data):
                     raise ValueError("a message index does not fit its chunk")

@@ -108,7 +108,7 @@ def pack_mcap(
 ) -> None:
     """Replaces a finished log by an equal one with large chunks; without room for it on the disk, leaves it as it is.
 
-    Whoever must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
+    A program that must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
     """
     # a hidden name in the same folder, so that the rename stays within one disk
     packed = path.with_name(f".{path.name}.compact")

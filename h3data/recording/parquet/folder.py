@@ -187,7 +187,7 @@ class DatasetFolder:
 
     # --- private ---
     def _promised_episodes(self) -> int:
-        """Number of episodes in info.json: a lower bound, as it is written after the episode tables."""
+        """Number of episodes in info.json: a lower bound, because the file is written after the episode tables."""
         path = self.root / "meta" / "info.json"
         if not path.exists():
             return 0  # before the first commit

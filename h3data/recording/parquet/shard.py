@@ -33,7 +33,7 @@ ZSTD_LEVEL, PAGE_BYTES = 6, 8 << 20
 
 
 class Shard:
-    """The files of up to ``episodes_per_file`` episodes until they are committed."""
+    """Files with up to ``episodes_per_file`` episodes, before they are committed."""
 
     def __init__(self, root: Path, number: int, schema: DatasetSchema, *, video_number: int = 0) -> None:
         """Opens data file ``number`` of the dataset in ``root`` under its temporary name.
@@ -51,7 +51,7 @@ class Shard:
         self.videos: dict[str, VideoAppender] = {}
         """Video file of each camera, by the key of its feature."""
         self.spoiled = False
-        """A row group was begun and not finished: nothing of this file can be used."""
+        """True if a row group was begun and not finished, so that the file cannot be used."""
         self._arrow = data_schema(schema)
         self._stream = self._open("data")
         self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))

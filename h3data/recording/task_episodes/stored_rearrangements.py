@@ -91,7 +91,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     recording: str = ""
     """Identity (uid) of the recording that the episode was taken from."""
     sampled_sha256: str = ""
-    """`content_digest` of an episode that follows from its seed alone; it tells whether somebody has edited it."""
+    """`content_digest` of an episode that follows from its seed alone; it shows whether the episode has been edited."""
     instruction: str = ""
     """Instruction to the agents; empty if the file has none."""
 

@@ -42,7 +42,7 @@ class Window:
     half_v: NDArray[np.float64]
     """Vertical half side, shape [3] [m]."""
     across: NDArray[np.float64]
-    """Unit normal; which side is indoors is found by the bake."""
+    """Unit normal; the bake finds out which side is indoors."""
 
 
 @dataclass(frozen=True)

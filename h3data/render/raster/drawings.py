@@ -12,11 +12,12 @@ from h3data.render.raster.raster import Target, View, new_target
 from h3data.render.shade.shading import KeptPicture
 
 _REMEMBERED = 32
-"""Views that are remembered, to see that a camera stands still; after so many images without it, it loses its buffers."""
+"""Number of images after which an unused camera loses its buffers; views are remembered to recognize cameras that stand
+still."""
 
 
 class Shown(NamedTuple):
-    """The state of a world as far as pictures depend on it."""
+    """Part of a world's state on which pictures depend."""
 
     matrix: NDArray[np.float64]
     """Mesh to world of every instance, shape [I, 3, 4]."""

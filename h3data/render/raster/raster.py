@@ -160,7 +160,7 @@ def rasterise(geometry, cutouts, placement, view, target, changed):
     """Renders one image into ``target``; returns the number of clusters in the frustum.
 
     ``changed`` [I] marks the instances that differ from those that ``target`` shows in the same view: only the tiles in
-    which they are or were are drawn again. Of length 0, all is drawn.
+    which they are or were are drawn again. If its length is 0, everything is drawn.
 
     The result is the same to the last bit. In the tiles that are kept, nothing that is drawn again is nearer than what is
     there, and where two surfaces are equally near, the first one wins as it did. Only another order of the instances that

@@ -75,7 +75,7 @@ class Occlusion(NamedTuple):
     scratch: NDArray[np.float32]
     """Memory for z, amounts blurred along x, and amounts before they are blurred, shape [3, rows, columns]."""
     changed: NDArray[np.uint8]
-    """Not 0 where a pixel differs from that of the image before; meaningless if there was none. Without padding."""
+    """Nonzero where a pixel differs from the previous image; undefined for the first image. Without padding."""
 
 
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel
 
+INFLATE_M, MERGE_RAD = 1e-3, 1e-7
+"""Buckets count as this much larger on all sides, ten times what a point may lie outside the free area [m]; gaps between
+blocked angles narrower than this are none: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
+
 
 @kernel()
 def _wedge(before: NDArray, node: NDArray, after: NDArray) -> tuple[float, float, float]:
@@ -49,13 +53,10 @@ def _interval(x: float, z: float, dx: float, dz: float, corners: NDArray) -> tup
 def _block(low: float, high: float, spans: NDArray, count: int) -> int:
     """Adds an interval to sorted disjoint ones ``spans`` [.., 2]; returns how many there are then."""
     first = 0
-    # gaps between blocked angles narrower than this are none: 3 um at 30 m, where the blocking edges stand back
-    # 0.1 mm
-    merge_rad = 1e-7
-    while first < count and spans[first, 1] < low - merge_rad:
+    while first < count and spans[first, 1] < low - MERGE_RAD:
         first += 1
     last = first
-    while last < count and spans[last, 0] <= high + merge_rad:
+    while last < count and spans[last, 0] <= high + MERGE_RAD:
         low, high = min(low, spans[last, 0]), max(high, spans[last, 1])
         last += 1
     if last == first:
@@ -165,13 +166,11 @@ def potentially_visible(
     cells = np.argwhere(used)
     boxes = np.empty((len(cells), 4))
     box_of = np.empty(len(cells), np.int64)
-    # buckets count as this much larger on all sides: ten times what a point may lie outside the free area
-    inflate_m = 1e-3
     for k in range(len(cells)):
-        boxes[k, 0] = origin[0] + cells[k, 0] * size - inflate_m
-        boxes[k, 1] = origin[1] + cells[k, 1] * size - inflate_m
-        boxes[k, 2] = boxes[k, 0] + size + 2 * inflate_m
-        boxes[k, 3] = boxes[k, 1] + size + 2 * inflate_m
+        boxes[k, 0] = origin[0] + cells[k, 0] * size - INFLATE_M
+        boxes[k, 1] = origin[1] + cells[k, 1] * size - INFLATE_M
+        boxes[k, 2] = boxes[k, 0] + size + 2 * INFLATE_M
+        boxes[k, 3] = boxes[k, 1] + size + 2 * INFLATE_M
         box_of[k] = cells[k, 0] * nz + cells[k, 1]
     parts = np.empty(
         len(edges), np.int64

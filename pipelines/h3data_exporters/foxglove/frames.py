@@ -12,7 +12,7 @@ _WORLD_IN_ROOT = np.concatenate([np.zeros(3), quat_from_axis_angle([1.0, 0, 0], 
 _MOVED = 1e-6
 """A frame is told of again when a coordinate [m] or quaternion component differs by more from what was told last."""
 _WHOLE_NS = 1_000_000_000
-"""All frames are told of so often: who jumps in time sees them soon."""
+"""Interval at which all frames are sent again, so that viewers who jump in time soon see them."""
 
 
 class FrameTree:

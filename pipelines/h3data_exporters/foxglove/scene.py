@@ -86,7 +86,7 @@ class FoxgloveScene:
             for joint, piece in rigid_pieces(part.mesh, part.skeleton):
                 self._show(part, self.frames.names[first + joint], glb_bytes([piece]), IDENTITY_POSE, np.ones(3))
             return len(part.skeleton.names)
-        # without a frame of its own: most of a home stands still, and frames are told of again and again
+        # without a separate frame: most of a home stands still, and frames are sent again and again
         if part.body is not None and part.body.moving < 0 and len(part.poses) == 1:
             self._show(part, WORLD, self._glb(part.mesh), part.poses[0], part.scale)
             return 0

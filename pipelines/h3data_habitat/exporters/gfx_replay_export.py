@@ -223,7 +223,7 @@ def _root_bone(part: PosedPart, rig: _Rig) -> Array:
 def _add_part(
     keyframes: _Keyframes, part: PosedPart, filepath: str, key: int, *, rig: _Rig | None, static: bool
 ) -> int:
-    """Add the instances of a part, one for each time that it was there; returns the next free key."""
+    """Add the instances of a part, one for each time that it was present, and return the next free key."""
     poses = np.broadcast_to(part.poses, (keyframes.steps, 7)) if len(part.poses) == 1 else part.poses
     # compared as they are written: noise below the last decimal makes no update
     rounded, changed = _rounded(poses)

@@ -15,6 +15,7 @@ from h3data.bodies import load_robot, robot_names
 from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.geometry import IDENTITY_POSE, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.recording.records import Agent, AssetRef, Body
+from h3data_habitat.gfx.fold import Life
 from h3data_habitat.limits import MAX_AGENTS, check_count, check_size
 
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
@@ -93,6 +94,24 @@ def add_agents(
         robot, human = (columns[f"agent_{i}.base_pose"][:, :3].astype(np.float64) for i in (0, 1))
         columns["metrics.dist_agents"] = np.linalg.norm(robot - human, axis=1).astype(np.float32)
     return agents, bodies, columns, infos
+
+
+def person_roots(
+    lives: Sequence[Life], bodies: Sequence[Body], columns: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float32]]:
+    """Return the roots of people [T, 7] by the name of their body, and remove their user transforms from the columns."""
+    roots = {}
+    for life, body in zip(lives, bodies, strict=True):
+        track = columns.get(f"user.{PERSON_ROOT_PREFIX}{life.creation.rigId}")
+        if track is not None:
+            # rigs are numbered anew, so a number may belong to another person before and after
+            there = np.arange(len(track)) >= life.start
+            there &= (np.arange(len(track)) < life.end) | (life.end < 0)
+            roots[body.name] = np.where(there[:, None], track, np.float32(np.nan))
+    # none is left over: such transforms are roots of people, and no cameras
+    for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
+        del columns[name]
+    return roots
 
 
 def robot_model(uri: str) -> str | None:

@@ -12,67 +12,57 @@ import msgspec
 from h3data.errors import FormatError
 from h3data.formats import json_format
 from h3data.formats.source_file import decode_json
+from h3data_habitat.gfx.keyframes import Undecodable
 from h3data_habitat.json_files import not_json, truncated
 from h3data_habitat.json_stream import ArrayFault
 
 
-def undecoded(
-    path: Path, data: bytes, fault: msgspec.DecodeError, *, keyframe: int = -1, start: int = 0
-) -> FormatError:
-    """Return the error for text that cannot be decoded.
-
-    Args:
-        path: File.
-        data: Text of a keyframe, or of the whole file.
-        fault: Reason that msgspec gives.
-        keyframe: Number of the keyframe; -1 stands for the whole file.
-        start: Number of the first byte of ``data`` in the file.
-    """
-    if not isinstance(fault, msgspec.ValidationError):
-        return not_json(path, data, fault, start=start)
-    if keyframe < 0:
-        return not_a_replay(path, data, str(fault))
-    reason, _, where = str(fault).partition(" - at `")
-    where = where.rstrip("`").removeprefix("$").removeprefix(".")
-    # an instance is named by its key instead of its index in the list
-    place = f"keyframe {keyframe}"
-    if match := re.match(r"(\w+)(?:\[(\d+)\])?", where):
-        group, index = match.groups()
-        item = None if index is None else _item(data, group, int(index))
-        key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
-        place += f", {group}"
-        place += f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
-        place += f" ({where})"
-    return _invalid(path, reason, place)
-
-
-def not_a_replay(path: Path, data: bytes, fault: str = "") -> FormatError:
-    """Return the error for a file without keyframes, which says what else it looks like.
-
-    A file that has keyframes gets the error ``fault``, msgspec's text.
-    """
-    try:
-        content = decode_json(data)
-    except msgspec.DecodeError as damage:
-        return not_json(path, data, damage)
-    if not isinstance(content, dict):
-        shape = f"It holds a JSON {type(content).__name__}."
-    elif fault and not content.keys().isdisjoint(("keyframes", "keyframe")):
-        reason, _, where = fault.partition(" - at `")
-        return _invalid(path, reason, where.rstrip("`").removeprefix("$.") or "its top level")
-    else:
+def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
+    """Return the error that says where and why a file is not a gfx-replay, and what else it looks like."""
+    if isinstance(fault, ArrayFault):
+        if str(fault) == "truncated":
+            return truncated(path, fault.at)
+        return FormatError(
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
+        )
+    text, reason = fault.text, fault.fault
+    content, damage = None, None if isinstance(reason, msgspec.ValidationError) else reason
+    # text of another shape than expected may also stop being JSON further on
+    if damage is None and fault.keyframe < 0:
+        try:
+            content = decode_json(text)
+        except msgspec.DecodeError as found:
+            damage = found
+    if damage is not None:
+        return not_json(path, text, damage, start=fault.start)
+    is_replay = isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe"))
+    if fault.keyframe >= 0 or (reason is not None and is_replay):
+        what, _, where = str(reason).partition(" - at `")
+        place = _place(fault, where.rstrip("`").removeprefix("$").removeprefix("."))
+        return FormatError(
+            f"Not a valid gfx-replay: {what[:1].lower() + what[1:]} at {place}: {path}", code="H3-HABITAT-059"
+        )
+    if isinstance(content, dict):
         keys = ", ".join(list(content)[:8]) or "none"
         shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
+    else:
+        shape = f"It holds a JSON {type(content).__name__}."
     return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}", code="H3-HABITAT-058")
 
 
-def broken_list(path: Path, fault: ArrayFault) -> FormatError:
-    """Return the error for a list of keyframes that ends early or is damaged."""
-    if str(fault) == "truncated":
-        return truncated(path, fault.at)
-    return FormatError(
-        f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
-    )
+def _place(fault: Undecodable, where: str) -> str:
+    """Name the place ``where`` (a path of members and indices) of a fault; an instance is named by its key."""
+    if fault.keyframe < 0:
+        return where or "its top level"
+    place = f"keyframe {fault.keyframe}"
+    match = re.match(r"(\w+)(?:\[(\d+)\])?", where)
+    if match is None:
+        return place
+    group, index = match.groups()
+    item = None if index is None else _item(fault.text, group, int(index))
+    key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
+    number = f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
+    return f"{place}, {group}{number} ({where})"
 
 
 def _item(text: bytes, group: str, index: int) -> Any:
@@ -82,9 +72,3 @@ def _item(text: bytes, group: str, index: int) -> Any:
     # a member may occur twice
     except (ValueError, RecursionError, LookupError, TypeError):
         return None
-
-
-def _invalid(path: Path, reason: str, place: str) -> FormatError:
-    return FormatError(
-        f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}", code="H3-HABITAT-059"
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,6 +90,8 @@ class Life:
     """First keyframe in which it no longer exists; -1 = it stays to the end."""
     semantic_id: int = 0
     updates: Updates = field(default_factory=Updates)
+    track: int = -1
+    """Number of its track among those of moving instances; -1: it never moves."""
 
     @property
     def placed(self) -> bool:
@@ -136,6 +138,8 @@ class Fold:
 
     steps: int = 0
     lives: list[Life] = field(default_factory=list)
+    movers: list[Life] = field(default_factory=list)
+    """Instances that have tracks, in their order."""
     loads: dict[str, Loaded] = field(default_factory=dict)
     """Loaded assets by path, without the suffix after its question mark."""
     rigs: dict[int, Rig] = field(default_factory=dict)
@@ -188,66 +192,71 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
         check_count(step, MAX_STEPS, "keyframes", path)
         check_count(len(fold.loads), MAX_BODIES, "assets", path)
         check_count(len(fold.lives), MAX_BODIES, "instances", path)
+    for life in fold.lives:
+        # an instance that is there at times moves too: its absence is a pose of NaN
+        if life.moves(fold.steps):
+            life.track = len(fold.movers)
+            fold.movers.append(life)
+    bones = sum(rig.bones for rig in fold.rigs.values())
+    check_size(fold.steps, max(len(fold.movers), len(fold.user), bones), path)
+    _check_rotations(fold, path)
     return fold
 
 
-def fold_tracks(fold: Fold, movers: Sequence[Life], path: Path) -> NDArray[np.float32]:
-    """Return poses (pose7) [T, M, 7] of instances at every keyframe, NaN where they are absent. Consumes their updates.
+def _check_rotations(fold: Fold, path: Path) -> None:
+    """Raise a `FormatError` if a rotation is not a quaternion."""
+    poses = [(f"stateUpdates, instance {life.key}", life.updates, 1) for life in fold.lives]
+    poses += [(f"userTransforms, {name!r}", updates, 1) for name, updates in fold.user.items()]
+    poses += [(f"rigUpdates, rig {number}", rig.updates, rig.bones) for number, rig in sorted(fold.rigs.items())]
+    for where, updates, bones in poses:
+        # a quaternion of length 0 became NaN when it was normalised
+        bad = np.isnan(updates.poses(bones)).any((1, 2))
+        if bad.any():
+            step = updates.steps[int(np.argmax(bad))]
+            raise FormatError(
+                f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
+                code="H3-HABITAT-066",
+            )
+
+
+def pose_columns(fold: Fold) -> dict[str, NDArray[Any]]:
+    """Return the columns of all poses (pose7), NaN where a thing is absent. Consumes the updates of instances.
+
+    They are ``object_pose`` [T, M, 7] of the instances that move, ``user.<name>`` [T, 7] of each user transform and
+    ``rig.<id>`` [T, bones, 7] of each rig.
+    """
+    columns: dict[str, NDArray[Any]] = {"object_pose": _tracks(fold)} if fold.movers else {}
+    for name, updates in fold.user.items():
+        rows = np.full((fold.steps, 7), np.nan, np.float32)
+        # transforms do not persist: only keyframes that list one have it
+        rows[np.array(updates.steps)] = updates.poses()[:, 0]
+        columns[f"user.{name}"] = rows
+    ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
+    for number, rig in sorted(fold.rigs.items()):
+        if rig.updates.steps and rig.bones:
+            end = ends.get(number, -1)
+            columns[f"rig.{number}"] = _filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
+    return columns
+
+
+def _tracks(fold: Fold) -> NDArray[np.float32]:
+    """Return poses (pose7) [T, M, 7] of the instances that move. Consumes their updates.
 
     Works from the last keyframes to the first and frees what it has used: tracks and updates are never both in memory as
     a whole.
     """
-    check_size(fold.steps, len(movers), path)
-    tracks = np.empty((fold.steps, len(movers), 7), np.float32)
+    tracks = np.empty((fold.steps, len(fold.movers), 7), np.float32)
     for stop in range(fold.steps, 0, -_BLOCK):
         start = max(stop - _BLOCK, 0)
-        for k, life in enumerate(movers):
+        for k, life in enumerate(fold.movers):
             tracks[start:stop, k] = _rows(life, start, stop)
             life.updates.drop_after(start)
     return tracks
 
 
-def check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
-    """Raise a `FormatError` if a rotation is not a quaternion; ``where`` names the thing that it rotates."""
-    # a quaternion of length 0 became NaN when it was normalised
-    bad = np.isnan(updates.poses(bones)).any((1, 2))
-    if bad.any():
-        step = updates.steps[int(np.argmax(bad))]
-        raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
-            code="H3-HABITAT-066",
-        )
-
-
-def user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
-    """Return a column ``user.<name>`` [T, 7] of poses for each user transform, NaN at keyframes without it."""
-    check_size(fold.steps, len(fold.user), path)
-    columns: dict[str, NDArray[Any]] = {}
-    for name, updates in fold.user.items():
-        check_rotations(updates, 1, f"userTransforms, {name!r}", path)
-        rows = np.full((fold.steps, 7), np.nan, np.float32)
-        # transforms do not persist: only keyframes that list one have it
-        rows[np.array(updates.steps)] = updates.poses()[:, 0]
-        columns[f"user.{name}"] = rows
-    return columns
-
-
-def rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
-    """Return a column ``rig.<id>`` [T, bones, 7] of poses for each rig, NaN while its body does not exist."""
-    ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
-    check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
-    columns: dict[str, NDArray[Any]] = {}
-    for number, rig in sorted(fold.rigs.items()):
-        if rig.updates.steps and rig.bones:
-            check_rotations(rig.updates, rig.bones, f"rigUpdates, rig {number}", path)
-            end = ends.get(number, -1)
-            columns[f"rig.{number}"] = filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
-    return columns
-
-
 def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
     """pose7 [stop - start, 7] of an instance."""
-    rows = filled(life.updates, start, stop, end=life.end)[:, 0]
+    rows = _filled(life.updates, start, stop, end=life.end)[:, 0]
     if not life.placed:
         # created without a pose, it is at the origin until it gets one
         until = life.updates.steps[0] if life.updates.steps else stop
@@ -256,7 +265,7 @@ def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
     return rows
 
 
-def filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
+def _filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
     """Latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7].
 
     They are NaN before the first update, and from the keyframe ``end`` on unless that is -1.

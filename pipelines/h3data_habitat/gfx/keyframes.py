@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -17,8 +18,7 @@ from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
 from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
-from h3data_habitat.gfx.faults import broken_list, not_a_replay, undecoded
-from h3data_habitat.json_stream import ArrayElements, ArrayFault
+from h3data_habitat.json_stream import ArrayElements
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """Fits a float32 even after a product or two."""
@@ -161,26 +161,44 @@ _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]
 _OPENING_BYTES = 4096
 
 
+class Undecodable(Exception):
+    """Text of a file that cannot be decoded as what belongs there.
+
+    `h3data_habitat.gfx.faults.explain` makes an error for users of it.
+    """
+
+    def __init__(
+        self, text: bytes, fault: msgspec.DecodeError | None = None, *, keyframe: int = -1, start: int = 0
+    ) -> None:
+        """Hold the text and where it stands.
+
+        Args:
+            text: Text of a keyframe, or of the whole file.
+            fault: Reason that msgspec gives; None: a file without keyframes.
+            keyframe: Number of the keyframe; -1 stands for the whole file.
+            start: Number of the first byte of ``text`` in the file.
+        """
+        super().__init__(str(fault or ""))
+        self.text, self.fault, self.keyframe, self.start = text, fault, keyframe, start
+
+
 def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[Keyframe]:
     """Yields the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
 
     A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
     with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
+
+    Raises:
+        Undecodable, ArrayFault: the text is no gfx-replay.
+        FormatError: there are no keyframes, they hold nothing of a gfx-replay, or they are too long.
     """
     path = file.path
-    chunks = _digested(file.chunks(), digest)
-    head = b""
-    while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
-        head += chunk
-    # habitat-sim writes the keyframes first, so that most files are read one keyframe at a time
-    opening = _OPENING.match(head, len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0)
-    found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
     number, known, strange = -1, False, list[str]()
-    for number, (start, text) in enumerate(found):
-        keyframe = _decoded(path, text, Keyframe, number, start)
+    for number, (start, text) in enumerate(_texts(file, digest)):
+        keyframe = _decoded(text, Keyframe, number, start)
         # looked at until one member is known: later keyframes need not be decoded twice
         if not known:
-            members = list(_decoded(path, text, dict[str, msgspec.Raw], number, start))
+            members = list(_decoded(text, dict[str, msgspec.Raw], number, start))
             known = not REPLAY_MEMBERS.isdisjoint(members)
             strange = strange or members
         yield keyframe
@@ -194,39 +212,40 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
         )
 
 
-def _digested(chunks: Iterator[bytes], digest: Callable[[bytes], object]) -> Iterator[bytes]:
-    for chunk in chunks:
-        digest(chunk)
-        yield chunk
+def _texts(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[tuple[int, bytes]]:
+    """First byte and text of each keyframe."""
+
+    def digested() -> Iterator[bytes]:
+        for chunk in file.chunks():
+            digest(chunk)
+            yield chunk
+
+    chunks, head = digested(), b""
+    while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
+        head += chunk
+    # habitat-sim writes the keyframes first, so that most files are read one keyframe at a time
+    opening = _OPENING.match(head, len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0)
+    if opening:
+        yield from _streamed(file.path, head, opening.end(), chunks)
+        return
+    data = _limited(file.path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
+    document = _decoded(data, _File)
+    single = bytes(document.keyframe)
+    if document.keyframes is None and not single:
+        raise Undecodable(data)
+    yield from ((0, bytes(text)) for text in (document.keyframes if document.keyframes is not None else [single]))
 
 
 def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
     """First byte and text of each keyframe; ``head`` is the beginning of the file, the list opens before ``start``."""
-
-    def behind() -> Iterator[bytes]:
-        yield head[start:]
-        yield from chunks
-
-    elements = ArrayElements(behind(), start, KEYFRAME_BYTES)
-    try:
-        yield from elements
-    except ArrayFault as fault:
-        raise broken_list(path, fault) from None
+    elements = ArrayElements(chain([head[start:]], chunks), start, KEYFRAME_BYTES)
+    yield from elements
     # what follows is read as a document whose list is empty: a second list would replace that
     rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
-    document = _decoded(path, stand_in + rest, dict[str, Any], start=elements.rest_at - len(stand_in))
+    document = _decoded(stand_in + rest, dict[str, Any], start=elements.rest_at - len(stand_in))
     if document["keyframes"] != []:
         raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}", code="H3-HABITAT-062")
-
-
-def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
-    data = _limited(path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
-    file = _decoded(path, data, _File)
-    single = bytes(file.keyframe)
-    if file.keyframes is None and not single:
-        raise not_a_replay(path, data)
-    yield from ((0, bytes(text)) for text in (file.keyframes if file.keyframes is not None else [single]))
 
 
 def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: str) -> bytes:
@@ -241,8 +260,8 @@ def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: 
     return b"".join(parts)
 
 
-def _decoded(path: Path, text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0) -> _Kind:
+def _decoded(text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0) -> _Kind:
     try:
         return decode_json(text, kind)
     except msgspec.DecodeError as fault:
-        raise undecoded(path, text, fault, keyframe=keyframe, start=start) from None
+        raise Undecodable(text, fault, keyframe=keyframe, start=start) from None

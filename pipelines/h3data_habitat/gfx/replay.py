@@ -11,7 +11,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
@@ -21,18 +20,11 @@ from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 from h3data.srgb import linear_to_bytes
-from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX, add_agents
-from h3data_habitat.gfx.fold import (
-    Fold,
-    Life,
-    Loaded,
-    check_rotations,
-    fold_keyframes,
-    fold_tracks,
-    rig_columns,
-    user_columns,
-)
-from h3data_habitat.gfx.keyframes import Load, read_keyframes
+from h3data_habitat.gfx.agents import add_agents, person_roots
+from h3data_habitat.gfx.faults import explain
+from h3data_habitat.gfx.fold import Fold, Life, Loaded, fold_keyframes, pose_columns
+from h3data_habitat.gfx.keyframes import Load, Undecodable, read_keyframes
+from h3data_habitat.json_stream import ArrayFault
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
@@ -64,15 +56,17 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     path = file.path
     dt_ns = STEP_NS if fps is None else _step_ns(fps)
     digest = hashlib.sha256()
-    fold = fold_keyframes(read_keyframes(file, digest.update), path)
+    try:
+        fold = fold_keyframes(read_keyframes(file, digest.update), path)
+    except (Undecodable, ArrayFault) as fault:
+        raise explain(path, fault) from None
     assets, refs, notes = _assets(fold, path)
-    bodies, tracks = _bodies(fold, refs, path)
-    columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}
-    if tracks.shape[1]:
-        columns["object_pose"] = tracks
-    columns |= user_columns(fold, path) | rig_columns(fold, path)
+    # before the columns, which consume the poses
+    bodies = _bodies(fold, refs)
+    columns = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns, **pose_columns(fold)}
+    roots = person_roots(fold.lives, bodies, columns)
     agents, bodies, agent_columns, agent_info = add_agents(
-        bodies, assets, columns.get("object_pose"), fold.steps, path, roots=_person_roots(fold, bodies, columns)
+        bodies, assets, columns.get("object_pose"), fold.steps, path, roots=roots
     )
     columns |= agent_columns
     warnings = (
@@ -218,48 +212,20 @@ def _is_stage(life: Life) -> bool:
 
 
 # --- bodies -----------------------------------------------------------------------------------------------------------
-def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], NDArray[np.float32]]:
-    """One body per life and the tracks [T, M, 7] of those that move."""
+def _bodies(fold: Fold, refs: Sequence[str]) -> list[Body]:
+    """One body per life."""
     used: dict[str, int] = {}
-    bodies: list[Body] = []
-    movers: list[Life] = []
-    for life, ref in zip(fold.lives, refs, strict=True):
-        where = f"stateUpdates, instance {life.key}"
-        check_rotations(life.updates, 1, where, path)
-        # an instance that is there at times moves too: its absence is a pose of NaN
-        moves = life.moves(fold.steps)
-        if moves:
-            movers.append(life)
-        bodies.append(
-            Body(
-                name=_unique(f"{ref}_{life.key}", used),
-                asset=ref,
-                pose=life.first_pose(),
-                scale=np.array(life.creation.scale, np.float32),
-                semantic_id=life.semantic_id,
-                moving=len(movers) - 1 if moves else -1,
-            )
+    return [
+        Body(
+            name=_unique(f"{ref}_{life.key}", used),
+            asset=ref,
+            pose=life.first_pose(),
+            scale=np.array(life.creation.scale, np.float32),
+            semantic_id=life.semantic_id,
+            moving=life.track,
         )
-    return bodies, fold_tracks(fold, movers, path)
-
-
-# --- people and rigs --------------------------------------------------------------------------------------------------
-def _person_roots(
-    fold: Fold, bodies: Sequence[Body], columns: dict[str, NDArray[Any]]
-) -> dict[str, NDArray[np.float32]]:
-    """Takes the roots of people out of the user columns; by body."""
-    roots = {}
-    for life, body in zip(fold.lives, bodies, strict=True):
-        track = columns.get(f"user.{PERSON_ROOT_PREFIX}{life.creation.rigId}")
-        if track is not None:
-            # rigs are numbered anew, so a number may belong to another person before and after
-            there = np.arange(len(track)) >= life.start
-            there &= (np.arange(len(track)) < life.end) | (life.end < 0)
-            roots[body.name] = np.where(there[:, None], track, np.float32(np.nan))
-    # none is left over: such transforms are roots of people, and no cameras
-    for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
-        del columns[name]
-    return roots
+        for life, ref in zip(fold.lives, refs, strict=True)
+    ]
 
 
 def _rig_info(fold: Fold, bodies: Sequence[Body]) -> list[Mapping[str, Any]]:

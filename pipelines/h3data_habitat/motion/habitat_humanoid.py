@@ -31,7 +31,7 @@ DIRECTIONAL_FPS = 30.0
 DIRECTIONAL_TURNING_M = 0.05
 """Largest distance that `HabitatHumanoid.walk_directional` covers in a step in which it turns [m]."""
 DIRECTIONAL_TURN_FACTOR = 20
-"""Factor of the usual turn per step when the walk is told where to look."""
+"""Factor of the usual turn per step when a direction to look in is given."""
 CONTROL_HZ = 120.0
 
 

@@ -3,8 +3,8 @@
 The rules are ``BaseVelNonCylinderAction``'s (spec/habitat.md 1.3); against recorded steps of it:
 tests/habitat/navmesh/test_slide.py.
 Each disc steps on its own over the navmesh, which is shrunk by the disc's radius. If one does not get where the command
-takes it, the base moves by the way of the disc that is worst off, and turns all the same. Nobody looks again at the
-others, which is why it may get into walls.
+takes it, the base moves as far as its most obstructed disc, and turns all the same. The other discs are not checked again,
+which is why they may get into walls.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def hull_shape(points: NDArray[np.floating]) -> Shape:
 def hull_shapes(parts: Iterable[Mesh]) -> tuple[Shape, ...]:
     """Return one hull per connected piece of each part of an object (`load_parts`).
 
-    Bullet makes one hull per part; a piece that is joined to no other inside its part is told apart here as well. More
+    Bullet makes one hull per part; a piece that is joined to no other inside its part is separated here as well. More
     than 64 pieces give one hull per part, more than 64 parts a single one.
     """
     given = [part for part in parts if len(part.faces)]

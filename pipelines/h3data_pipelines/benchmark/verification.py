@@ -1,6 +1,6 @@
 """Checks of a result: whether its table follows from its recordings, and these from the episodes of the benchmark.
 
-Nothing that the result says of itself is believed. Each recording is compared with the episode that the benchmark names,
+Nothing that the result claims is taken on trust. Each recording is compared with the episode that the benchmark names,
 simulated again from the robot's recorded actions, with people whose own policies decide again, and measured again.
 """
 

@@ -137,7 +137,7 @@ class Convert:
         return at if source.index is None else at / f"{source.index:06d}.mcap"
 
     def log(self, source: StoredEpisode, target: AnyPath) -> dict[str, Any]:
-        """Write an episode as a log; returns a row with the result."""
+        """Write an episode as a log, and return a row with the result."""
         from h3data.recording import write_mcap
 
         row: dict[str, Any] = {"source": source.name, "recording": str(target)}

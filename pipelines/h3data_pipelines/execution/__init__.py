@@ -1,1 +1,1 @@
-"""Who does the work of a job: processes of this machine, or a Ray cluster. Shards in, results out, in their order."""
+"""Executors of jobs: processes of this machine, or a Ray cluster. They take shards and return results in the same order."""

@@ -32,7 +32,7 @@ _AHEAD = 4
 _SLOW = 3.0
 """A straggler takes this many times as long as the median of the shards before it."""
 _SLOW_S = 30.0
-"""Nothing is a straggler before this time: workers take seconds to start."""
+"""Least time after which a shard counts as a straggler: workers take seconds to start."""
 _DIAL_S = 5.0
 _REASONS = {
     "NodeDiedError": "its node died",

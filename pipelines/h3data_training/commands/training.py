@@ -123,7 +123,8 @@ class Train:
     episodes_per_update: Annotated[int | None, POPULATIONS] = None
     """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
     pixels: Annotated[bool, POPULATIONS] = False
-    """The robot sees depth by its arm's camera and is told what the paper's is, and no state (h3data docs populations)."""
+    """The robot observes the depth of its arm's camera and what the paper's robot observes, and no state (h3data docs
+    populations)."""
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
     """Observations of the robot."""
     light: Annotated[LightMode | None, FOLLOWING] = None

@@ -35,7 +35,6 @@ from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import Recorder, describe
-from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.resume import task_of
 from sim_kinematic.tasks.runner import DecisionLoop
@@ -212,7 +211,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._recorder = None
         if self.record is not None:
             name = f"{self._seed}-{self._index}"
-            header = describe(self._task, episode, policies, episode_id=name, reference=reference_of(self._task))
+            header = describe(self._task, episode, policies, episode_id=name)
             self._recorder = Recorder(header, play)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:

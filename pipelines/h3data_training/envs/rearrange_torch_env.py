@@ -91,7 +91,8 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
         if len(self.agents) == len(KINDS) and partner is not None:
             raise InputError(
-                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+                "Both agents are controlled from outside, so there is no partner. Hint: leave out partner.",
+                code="H3-ENV-003",
             )
         partner = partner or "plan_pop_4"
         if partner not in PARTNERS:

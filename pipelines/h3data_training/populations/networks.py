@@ -31,14 +31,14 @@ GUESSED = ("held_by_other", "at_goal")
 
 
 def guessed_columns(agent: str, objects: int) -> list[int]:
-    """Return the columns of the state, as the critic is told it, that hold `GUESSED` for each object."""
+    """Return the columns of the state, as the critic observes it, that hold `GUESSED` for each object."""
     of_object, _ = input_lengths(agent)
     starts = [input_lengths(agent, OBSERVATIONS[: OBSERVATIONS.index(name)])[0] for name in GUESSED]
     return [k * of_object + start for start in starts for k in range(objects)]
 
 
 class Chooser(nn.Module):
-    """A recurrent actor, a critic that is told who the partner is, and what else only training needs."""
+    """A recurrent actor, a critic that observes the identity of the partner, and everything else that only training needs."""
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()

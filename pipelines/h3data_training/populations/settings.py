@@ -63,9 +63,9 @@ class PopulationSettings:
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     pixels: bool = False
-    """True if the robot sees as the paper's does and is told no state: it has the observations
-    `sim_kinematic.policies.choosers.chooser_network.PIXELS`. The critic, which only training needs, is told the state in either
-    case."""
+    """True if the robot observes what the paper's does, and no state: it has the observations
+    `sim_kinematic.policies.choosers.chooser_network.PIXELS`. The critic, which only training needs, observes the state in
+    either case."""
     picture_size: tuple[int, int] = (64, 48)
     """Width and height of the robot's pictures [pixels]."""
     channels: tuple[int, int, int] = (16, 32, 32)

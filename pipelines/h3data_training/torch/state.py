@@ -5,7 +5,8 @@ The step functions of `h3data_training.torch.step` take and return them. Tensors
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -58,3 +59,14 @@ class HumanTensors(NamedTuple):
 
 def _on_device(arrays: list[np.ndarray], device: torch.device | str, dtype: torch.dtype) -> list[Tensor]:
     return [torch.tensor(array, dtype=dtype, device=device) for array in arrays]
+
+
+def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """Return ``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+
+def tensors_of(parts: Iterable[Any]) -> Iterator[Tensor]:
+    """Return the tensors among the parts of a state and in their tuples and mappings, in a fixed order."""
+    for part in parts:
+        yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)

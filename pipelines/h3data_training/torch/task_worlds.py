@@ -28,7 +28,7 @@ from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import Lattices, ShortestPath, shortest_path
 from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.seen import clearance, free_along
-from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.state import HumanTensors, RobotTensors, choose, tensors_of
 from h3data_training.torch.step import Grids, drive_robots, heading_direction, move_humans, refuse_stairs, walk_humans
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.outlines import legs_at, shins
@@ -99,8 +99,7 @@ class Play(NamedTuple):
 
     def tensors(self) -> Iterator[Tensor]:
         """Return all tensors of the state, in a fixed order."""
-        for part in self:
-            yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)
+        return tensors_of(self)
 
 
 class Agents(NamedTuple):
@@ -375,12 +374,12 @@ class TaskTensors:
     def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
         """Outcome of the step and the task's memory after it; ``fresh`` [W] are worlds that have just begun."""
         begun = self._begun(now)
-        memory = {name: _choose(fresh, values, now.memory[name]) for name, values in begun.items()}
+        memory = {name: choose(fresh, values, now.memory[name]) for name, values in begun.items()}
         rollout = TensorRollout(self, now._replace(memory=memory), dict(memory))
         outcome: Any = self.task.judge(rollout)  # type: ignore[arg-type]
         outcome = replace(outcome, reward=typed(outcome.reward, self.dtype))
         after = {name: typed(rollout.memory[name], self.dtype) for name in begun} | {"success": outcome.success}
-        return outcome, {name: _choose(fresh, values, after[name]) for name, values in begun.items()}
+        return outcome, {name: choose(fresh, values, after[name]) for name, values in begun.items()}
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def context(self, play: Play) -> SensorContext:
@@ -434,11 +433,6 @@ class TaskTensors:
             with in_words(f"{who}: the sensor {name} of robot"):
                 sensor = self.task.sensors("robot")[name]
                 require_tensors({"it": sensed(name, sensor, sim.context(play), who, "robot")}, worlds)
-
-
-def _choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
-    return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
 def typed(values: Any, dtype: torch.dtype) -> Tensor:

@@ -21,8 +21,8 @@ class ObjectRoomSpec:
     sunk_m: float = 0.01
     """A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
     inside_m: float = 0.025
-    """A thing may be this deep in what stands beside it: sampled goals keep to the surface that carries them, not out of
-    its own edges (1 of 16 goals in small homes is 2.1 cm in one)."""
+    """Largest depth of a thing in its neighbours [m]: sampled goals stay on the surface that carries them, but
+    may overlap its edges (1 of 16 goals in small homes is 2.1 cm in one)."""
     upright: float = 0.7
     """Vertical part of a contact's normal below which the contact is one from the side."""
     support_m: float = 0.05

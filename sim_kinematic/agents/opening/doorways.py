@@ -36,7 +36,7 @@ class RoomDoors:
     @staticmethod
     @lru_cache(maxsize=16)
     def of(scene: Scene, free: FreeSpace) -> RoomDoors:
-        """The doors of a home with the floor ``free`` as it is at rest, found once."""
+        """Return the doors of a home whose floor at rest is ``free``; found once per home."""
         there = passable(scene, free)
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 

@@ -14,18 +14,21 @@ from h3data.geometry import Array
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.skills import Action
 
+PATIENCE_STEPS, FRONT_M, AT_END = 45, 0.05, 0.02
+"""Number of steps for which a part waits until an agent no longer blocks its movement; least distance in front of a handle from
+which an agent opens its part, on the side to which the part comes [m]; share of its range within which a part counts as being
+at an end."""
+
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
-    """Reason why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
+    """Return the reason why no agent could open or close a part now; empty if one could. Reach is tested separately."""
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
     k, opens = action.target, action.skill == "open"
     share = float(openables.joints.shares(openables.positions)[k])
-    # share of its range within which a part counts as being at an end
-    at_end = 0.02
-    if opens and share > 1 - at_end:
+    if opens and share > 1 - AT_END:
         return "already_open"
-    if not opens and share < at_end:
+    if not opens and share < AT_END:
         return "already_closed"
     hit = openables.hits_agent(k, openables.travel(k, opens=opens))
     if hit >= 0:
@@ -59,10 +62,7 @@ def stands_before(
     outward = (ends[1] - ends[0])[[0, 2]]
     outward /= max(float(np.hypot(*outward)), 1e-9)
     before = np.full(len(stands), k in openables.doors)
-    # least distance in front of a handle from which an agent opens its part, on the side to which the part
-    # comes [m]
-    front_m = 0.05
-    before |= (stands[:, :2] - ends[0, [0, 2]]) @ outward > front_m
+    before |= (stands[:, :2] - ends[0, [0, 2]]) @ outward > FRONT_M
     swept = openables.points(k, np.linspace(joint.closed, joint.opened, 12))[:, [0, 2]]
     points = np.concatenate([swept, openables.open_points()])
     return before & stands_clear(stands, points, offsets, radius_m)
@@ -81,9 +81,7 @@ class Leading:
     @property
     def gave_up(self) -> bool:
         """Returns whether somebody stayed in the way for too long."""
-        # number of steps for which a part waits until an agent no longer blocks its movement
-        patience_steps = 45
-        return self._waited > patience_steps
+        return self._waited > PATIENCE_STEPS
 
     def advance(self, step: int) -> bool:
         """Moves the part to its place of a step of its way; False: somebody is there, so that it has not moved."""

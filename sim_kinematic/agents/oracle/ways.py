@@ -22,6 +22,12 @@ from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 CELL_M = 0.2
 """Side of a cell. With 0.1 m paths are no shorter by 0.1%, the tables four times as large."""
 NONE = -1
+SKIP_M, DETOUR_M, SPREAD = 0.25, 0.05, 4
+"""Corners of a path that are nearer than `SKIP_M` to the one before are passed over: an inflated corner is an arc of many
+points, whose chord leaves the free area by 3 cm at most, where the radius of the agent is 25 cm. A first point that all of a
+cell sees is taken before one that its middle alone sees if the path is longer by `DETOUR_M` at most: from the rest of the cell
+the path to the latter may touch what it passes, as bases slide along it. A cell that is not free uses the path of the nearest
+free one up to `SPREAD` cells away."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,14 +123,7 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     """The paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
     cells, nodes = floor_cells(free), free.graph.nodes
-    # 0.25: corners of a path that are nearer than this to the one before are passed over: an inflated corner is
-    # an arc of many points. Its chord leaves the free area by 3 cm at most, where the radius of the agent is 25
-    # cm.
-    left, after = _from_corners(free.graph, ends, 0.25)
-    # A first point that all of a cell sees is taken before one that its middle alone sees if the path is longer
-    # by this at most. From the rest of the cell the way to the latter may touch what it passes: bases slide
-    # along it.
-    detour_m = 0.05
+    left, after = _from_corners(free.graph, ends, SKIP_M)
     first = _from_cells(
         free.graph,
         cells.middles,
@@ -135,7 +134,7 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
         cells.whole,
         left,
         ends,
-        detour_m,
+        DETOUR_M,
     )
     return PathTable(
         points=np.concatenate([nodes, ends]),
@@ -156,9 +155,7 @@ def floor_cells(free: FreeSpace) -> FloorCells:
 
 def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
     """The way of a neighbour for cells [nx, nz] that have none themselves."""
-    # distance in cells up to which a cell that is not free uses the path of the nearest free one
-    spread = 4
-    for _ in range(spread):
+    for _ in range(SPREAD):
         padded, near = np.pad(first, 1, constant_values=NONE), first.copy()
         # neighbours across a side before those across a corner, which are farther away
         for i, j in ((0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (0, 2), (2, 0), (2, 2)):

@@ -26,7 +26,7 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 
 @dataclass(frozen=True)
 class ArmClearanceSpec:
-    """Constants of the test whether a robot's arm is clear of obstacles."""
+    """Constants of the test that decides if a robot's arm is clear of obstacles."""
 
     approach_m: float = 0.1
     """Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""

@@ -44,7 +44,7 @@ FACING_RAD = 0.04
 
 @dataclass(eq=False)
 class RobotDriver:
-    """A robot with an arm, and how it gets about. It moves ``objects.state``."""
+    """Base class of actors of robots with an arm: how the robot drives. It moves ``objects.state``."""
 
     robot: Robot
     free: FreeSpace
@@ -63,7 +63,7 @@ class RobotDriver:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
-    """The agents that it heeds, itself among them; None: it is alone."""
+    """Agents that it gives way to, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -95,7 +95,7 @@ class RobotDriver:
         self._start: NDArray | None = None
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._goes_around = False
-        """Turned away, it goes by ways around who stands, until it gets somewhere."""
+        """True after the robot was turned away: it takes paths around agents that stand until it makes progress."""
         self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
         """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
@@ -188,7 +188,7 @@ class RobotDriver:
         return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
-        """Stands where it is in nobody's way."""
+        """Stand where nobody needs the floor."""
         # agents that agree are asked to step aside when somebody comes, so they need no retreat
         goal = None if self.agreed else retreat_place(self.free, self.xz, self.others, wider_m=wider_by(self.base))
         for _ in range(steps):

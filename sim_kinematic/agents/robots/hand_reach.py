@@ -24,8 +24,8 @@ class HandReachSpec:
     """Directions, distances and heights in which robots' hands are tried."""
 
     hand_pitch_rad: float = -0.6
-    """A robot's hand points this far below the horizon when it picks and places, always the same: so an object that was taken
-    standing stands again where it is placed."""
+    """Angle by which a robot's hand points below the horizon when it picks and places. It never changes, so an object that was
+    taken standing stands again where it is placed."""
     all_directions: int = 6
     """Joints that an arm needs for a given position and orientation."""
     free_yaw_rad: float = 0.7

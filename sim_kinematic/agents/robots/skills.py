@@ -204,7 +204,7 @@ class RobotActor(RobotDriver):
         if not np.isfinite(self.free.geodesic(self.xz, goal)):
             return SkillResult("failed", "no_way")
         yield from self._fold_arm()
-        # so near to the floor before a place a robot looks at it [m]
+        # distance to the floor in front of a place at which a robot looks at the place [m]
         look_m = 0.5
         return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 

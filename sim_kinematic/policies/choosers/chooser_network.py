@@ -79,8 +79,8 @@ PIXELS = (
 )
 """Observations of a chooser that sees, in this order: those of the paper's robot (section 4.2; objects and goals as in
 Habitat's configuration, at the places that the task gave them), and the result of its own last choice. How far the person is
-from each start and goal follows from what the paper's robot observes. The chooser is told neither what the person does or
-holds, nor where objects are now, nor what is at its goal, nor any path."""
+from each start and goal follows from what the paper's robot observes. The chooser does not observe what the person does or
+holds, where objects are now, which of them are at their goals, or any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
 """Observations without which no chooser works."""
 

@@ -35,7 +35,7 @@ class RecurrentSkillPolicy:
     """
 
     def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
-        """Check that the network fits the agent, and starts with an empty memory.
+        """Check that the network fits the agent, and start with an empty memory.
 
         Args:
             network: the policy.

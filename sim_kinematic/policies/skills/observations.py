@@ -19,7 +19,7 @@ class SkillView(NamedTuple):
     """State of a robot that moves to an object or its goal, or handles it."""
 
     free: FreeSpace
-    """The floor for its base."""
+    """Floor on which the robot's base moves."""
     xz: Array
     """Place of the base [2] [m]."""
     heading: float

@@ -20,6 +20,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.plugins import names_from_data
 from h3data.recording import Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.recording.task_episodes.episode_files import episode_files
 from h3data.recording.task_episodes.partnr_goals import Placement
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
@@ -49,7 +50,6 @@ from sim_kinematic.tasks.codec import (
     recorded_roster,
     require_info,
     require_on_floor,
-    scene_attachment,
     starts_on_floor,
     uid_of,
 )
@@ -255,7 +255,12 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         try:
             rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
             rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
-            rules = {"robot": {}, "human": {}, "people_give_way": False, **rules}  # as before there were such rules
+            rules = {
+                "robot": {},
+                "human": {},
+                "people_give_way": False,
+                **rules,
+            }  # as in versions that had no such rules
             spec = msgspec.convert(rules, self.task.Spec)
             goals = msgspec.convert(info["goals"], list[StoredGoal])
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
@@ -322,7 +327,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
         what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
-        # bodies of a pair are named already, and a person alone is told by the policy solo
+        # the bodies of a pair are named already, and the policy solo marks a person alone
         if kinds not in (PAIR, ("human",)):
             what += ":" + ",".join(member.model for member in episode.roster)
         if not episode.is_sampled:

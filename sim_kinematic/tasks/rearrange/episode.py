@@ -55,7 +55,14 @@ from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 PAIR = ("robot", "human")
 """The paper's agents."""
-ATTEMPTS, THOROUGH_ATTEMPTS = 200, 150
+ATTEMPTS, THOROUGH_ATTEMPTS, REDRAW = 200, 150, 10
+"""Number of attempts that try one spot on a surface, then of those that try `SPOTS` of them, as free spots may be rare; after
+every `REDRAW` of them the starts are sampled anew as well."""
+SPOTS, SPOT_ATTEMPTS = 20, 20
+"""Number of spots on a surface that a thorough attempt tries, and of rounds over at most twelve surfaces."""
+STANDS_WITHIN_M, LIFT_M, OPENING_S = 1.0, 0.001, 9.0
+"""Distance within which a person stands from what they take or put down [m]; height by which things float over their surface,
+so that a collision check does not call them stuck in it [m]; estimated time to open one door or drawer [s]."""
 HANDLING_S = 4.5
 """Estimated time that a person needs for one object, besides walking and turning [s]."""
 SNAP_M = 2.0
@@ -107,7 +114,7 @@ class RearrangeSpec:
     """The same as in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
     floor_moves: bool = field(default=False, repr=False)
     """True if what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
-    something opens; those from before 0.3 know nothing of it."""
+    something opens; episodes from before 0.3 do not have the rule."""
     oracle: OracleSpec | None = field(default=None, repr=False)
     """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
     observe: str = field(default="full", repr=False)
@@ -278,18 +285,14 @@ def draw_episode(
     leg = longest / (2 * spec.objects)
     why = f"a person alone would take more than {budget:.0f} s"
     starts = None
-    # number of attempts after which the starts are sampled anew as well
-    redraw = 10
     for attempt in range(ATTEMPTS + THOROUGH_ATTEMPTS):
         rng, thorough = generator(seed, "rearrange", step=attempt), attempt >= ATTEMPTS
-        if starts is None or attempt % redraw == 0:
+        if starts is None or attempt % REDRAW == 0:
             starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
-        within = np.inf if attempt < redraw else leg
-        # 20: number of attempts that try one spot on a surface, and number of spots that later attempts try,
-        # as free spots may be rare
-        targets = draw.targets(rng, chosen, starts.human_xz, within, longest, spots=20 if thorough else 1)
+        within = np.inf if attempt < REDRAW else leg
+        targets = draw.targets(rng, chosen, starts.human_xz, within, longest, spots=SPOTS if thorough else 1)
         if targets is None:
             continue
         seconds = draw.seconds_alone(starts, targets)
@@ -340,8 +343,7 @@ def free_spot(
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     # within any distance, so it does not matter where the way begins
-    # 20: rounds over at most twelve surfaces in search of a free spot
-    tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(20))
+    tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
     return next((spot for spot in tries if spot is not None), None)
 
 
@@ -399,14 +401,12 @@ class _EpisodeSampler:
         ]
         found = []
         least = 0.0
-        # distance within which a person stands from the object that they take or put down [m]
-        stands_within_m = 1.0
         for thing in chosen:
             start = self._place(rng, thing, taken, here, within_m, spots=spots)
             if start is None:
                 return None
             # at either end a person stands this far away, so a leg may be so much shorter than the line
-            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * stands_within_m, 0.0)
+            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
             # before the search for a goal, which costs more than the straight lines up to here
             if least > longest_m:
                 return None
@@ -414,7 +414,7 @@ class _EpisodeSampler:
             goal = self._place(rng, thing, taken, here, within_m, start, spots=spots)
             if goal is None:
                 return None
-            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * stands_within_m, 0.0)
+            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
             here = goal[0][[0, 2]]
             turned = np.concatenate([start[0], quat_from_heading(rng.uniform(-np.pi, np.pi))])
             found.append(Target(thing.name, turned, goal[0], start[1], goal[1]))
@@ -446,9 +446,7 @@ class _EpisodeSampler:
             x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
             spot = instance_matrix(instance) @ np.append(receptacle.center + np.array([x, 0, z]), 1.0)
             # the place of the asset's origin, which may be above the lowest point of the thing
-            # 0.001: things float this much over their surface, so that a collision check does not call
-            # them stuck in it
-            point = spot[:3] + np.array([0, 0.001 - low, 0])
+            point = spot[:3] + np.array([0, LIFT_M - low, 0])
             inside = within_reach(self.scene, f"{instance.name}|{receptacle.name}", point)
             if inside is None or (away_from is not None and is_drawer(self.scene, instance)):
                 continue
@@ -555,8 +553,7 @@ class _EpisodeSampler:
                 headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
                 turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
                 here, heading, way = stand[:2], float(stand[2]), way + length
-        # 9.0: estimated time that a person needs to open one door or drawer [s]
-        pace = way / walker.speed_mps + 9.0 * (opened + len(doors))
+        pace = way / walker.speed_mps + OPENING_S * (opened + len(doors))
         if walker.stride is None:
             return pace + turned / walker.turn_rad_s + HANDLING_S * len(targets)
         # against full speed throughout, v / 2a is lost in setting off and v / 2d in braking

@@ -20,12 +20,13 @@ from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands, robot_stands
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import OracleSpec
-from sim_kinematic.tasks.episode import agent_base, agent_floor
+from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
 Stands = tuple[Array, Callable[[Array], bool]]
-"""Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
+"""Stands ``(x, z, heading)`` [N, 3], and a function that returns whether the body has room at one of them."""
 
 
 def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = ()) -> SubGoals:

@@ -23,6 +23,8 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
 Skill = Literal["nav", "pick", "place"]
 SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
+CANDIDATES, ROUNDS = 64, 8
+"""Number of floor points that are compared at once for one start, and of such attempts before the start is given up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,11 +45,6 @@ class SkillStart:
     heading: float
     objects: Array
     """Positions of the objects, [K, 3] [m]; that of an object in the hand has no meaning."""
-
-
-def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:
-    """Return the least and the largest length of the path to the nearest stand with which a skill is judged [m]."""
-    return (rules.nav_start_m, np.inf) if skill == "nav" else (rules.arm_start_m, rules.arm_most_m)
 
 
 def draw_starts(
@@ -79,7 +76,9 @@ def draw_starts(
     floor = floor_of(body, base, episode.scene, episode.free)
     fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)
     clearance = arm_clearance(episode.scene, body, episode.free.floor_y)
-    least, most = path_m or distances_of(skill, rules or SkillSpec())
+    judged = rules or SkillSpec()
+    lengths = (judged.nav_start_m, np.inf) if skill == "nav" else (judged.arm_start_m, judged.arm_most_m)
+    least, most = path_m or lengths
     lies = np.array([target.start[:3] for target in episode.targets])
     found: list[SkillStart] = []
     spots = [(k, at_goal) for k in range(len(lies)) for at_goal in (False, True)]
@@ -128,13 +127,9 @@ def _place(
         return None
     # one field from all stands measures every candidate, where geodesics would take a search each
     field = floor.distance_field(stands[:, :2])
-    # number of floor points that are compared at once for one start
-    candidates = 64
-    # number of attempts, each with 64 points, before a start is given up
-    rounds = 8
-    for _ in range(rounds):
-        points = floor.sample(rng, candidates)
-        headings = rng.uniform(-np.pi, np.pi, candidates)
+    for _ in range(ROUNDS):
+        points = floor.sample(rng, CANDIDATES)
+        headings = rng.uniform(-np.pi, np.pi, CANDIDATES)
         lengths = field.distance(points)
         # whether the body fits is asked one by one, so only where the length is right
         for k in np.flatnonzero((lengths >= least) & (lengths <= most)).tolist():

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.assets.scenes import scene_attachment
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
-from sim_kinematic.agents.waypoint_walker import HumanPlan
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy
@@ -25,10 +26,9 @@ from sim_kinematic.tasks.codec import (
     SceneAndMap,
     malformed_info,
     require_info,
-    scene_attachment,
     uid_of,
 )
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, agent_base, rules_dict
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, rules_of, stored_episode
@@ -157,18 +157,12 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         assert isinstance(play, WorldRollout)
         info: dict[str, Any] = {"ended": play.ended}
         if isinstance(policies[HUMAN].policy, WaypointPolicy):
-            return {**info, **plan_info(episode, play.memory.whole_walk(episode))}
+            plan = play.memory.whole_walk(episode)
+            info["human_goals"] = [[float(x), float(z)] for x, z in plan.goals]
+            return {**info, "oracle_min_steps": _oracle(episode, plan.xz)}
         if play.memory.track:
             info["oracle_min_steps"] = _oracle(episode, np.array(play.memory.track))
         return info
-
-
-def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
-    """Return the person's goals, and the oracle's minimum steps ``l``."""
-    return {
-        "human_goals": [[float(x), float(z)] for x, z in plan.goals],
-        "oracle_min_steps": _oracle(episode, plan.xz),
-    }
 
 
 def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:

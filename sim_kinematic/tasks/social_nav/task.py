@@ -20,6 +20,7 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan
+from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
@@ -31,7 +32,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.control import Control, VelocityControl
-from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_base, agent_floor
+from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile

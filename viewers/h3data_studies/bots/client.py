@@ -82,7 +82,7 @@ class Client:
         await self.http.close()
 
     async def sit(self) -> int:
-        """Takes the seat; returns the HTTP status. The text of a refusal is told as ``refused``."""
+        """Take the seat and return the HTTP status. The text of a refusal is stored in ``told`` as ``refused``."""
         async with self.http.post(self.link + "api/session", json={}) as answer:
             if answer.status != 200:
                 self.told.append({"refused": await answer.text()})

@@ -75,7 +75,7 @@ class ScriptedParticipant(Client):
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
-        """Take part to the end; returns the status there (``complete``, ``screened_out``, ...)."""
+        """Take part to the end, and return the final status (``complete``, ``screened_out``, ...)."""
         ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
         await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
         while (kind := self.stage["kind"]) != "end":

@@ -1,4 +1,4 @@
-"""Legs, compiled: two bones from the hip to the ankle, feet on the floor, and how standing goes over into moving.
+"""Legs, compiled: two bones from the hip to the ankle, feet on the floor, and the transition from standing to moving.
 
 In the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor; angles of feet in degrees as
 in `h3data.bodies.people.legs.Posture`. For one frame NumPy needs 40 times as long: its calls cost more than their numbers.

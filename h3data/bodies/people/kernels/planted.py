@@ -63,14 +63,33 @@ FIRST_SHARE = 0.25
 """Share of its stance that the standing foot has reached while the other one makes the first step."""
 JUMP_M = 0.5
 """A root that moves further in one step has been put there: the person stands."""
-MOST_STEPS, LEAST_S = 30, 1e-3
-"""Rows that are further apart are gone through in no more steps than this; a step is no shorter than this."""
+MOST_STEPS, LEAST_S, SAME_S = 30, 1e-3, 1e-6
+"""Rows that are further apart are gone through in no more steps than this; a step is no shorter than `LEAST_S`. Steps that
+differ by less than `SAME_S` are equally long: times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved
+feet by up to 5 cm, as a foot that leaves the floor one step later lands elsewhere."""
+ACCELERATION, AHEAD_ACCELERATION, STYLE_ACCELERATION = 9.0, 25.0, 3.0
+"""The gait, the place where feet land, and trunk and arms follow the speed of the root no faster than this [m/s^2]."""
+TURN_SHARE = 0.35
+"""Share of a change of the turning rate that a step takes over."""
+CYCLES_PER_RAD, SETTLE_HZ = 0.7, 1.5
+"""Number of cycles of two steps per radian of a turn on the spot, in which a foot is placed anew every 41 degrees; cadence at
+which feet that stand wrong are set right."""
+TWIST_RAD, OFF_M = 0.6, 0.45
+"""A foot lands turned from the body by no more than this, and no farther than this from where the steady gait has it."""
+CATCH_UP = 0.015
+"""Cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump."""
 LIFT, LIFT_MOST_M = 0.18, 0.06
 """Lift of a foot that goes to a place of its own: share of the distance, and its limit, in addition to the gait's own lift."""
 STRETCHED = 0.994
 """Largest share of its length to which a leg is stretched: straighter knees would snap."""
-CROUCH_M, CROUCH_MPS = 0.06, 0.2
-"""Distance by which the pelvis is lower on stairs, for the foot below, and the speed at which it gets there."""
+CROUCH_M, CROUCH_MPS, RISE_MPS = 0.06, 0.2, 0.5
+"""Distance by which the pelvis is lower on stairs, for the foot below, the speed at which it gets there, and the largest speed
+at which a pelvis that has sunk comes back up."""
+LETS_GO, OVER_BY, DRAWS = 0.4, 0.8, 0.3
+"""Shares of a foot's swing: after the first, the pelvis no longer keeps that foot within reach; by the second, a foot between
+treads is above its place; from the third on, the pelvis sinks for a foot that comes down on a lower tread."""
+SHAPE_LEFT = 0.78
+"""Share of `SHAPE_OFF` that is left after a step."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
@@ -359,8 +378,7 @@ def _swing_line(table, k, f, state, foot, share):
     if _steps_off(table, state, foot):
         part = min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0)
         # over its tread before the end, so that it comes down from above and not through the nose
-        # 0.8: share of a swing between treads by which the foot is above its place
-        return _stair_line(table, k, f, state, foot, _eased(min(part / 0.8, 1.0)), 0.0)
+        return _stair_line(table, k, f, state, foot, _eased(min(part / OVER_BY, 1.0)), 0.0)
     done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
     side = table.half_width if foot == 0 else -table.half_width
     left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
@@ -589,19 +607,15 @@ def step_gait(table, state, x, z, heading, dt):
     velocity = math.copysign(way, forward) / dt
     state[X], state[Z], state[HEADING] = x, z, heading
     state[TIME] += dt
-    # 0.35: share of a change of the turning rate that a step takes over
-    state[TURN] += 0.35 * (turned_by / dt - state[TURN])
-    # 25.0: the place where feet land follows the root's speed no faster than this [m/s^2]
-    gain = 25.0 * dt
+    state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
+    gain = AHEAD_ACCELERATION * dt
     state[AHEAD] += min(max(velocity - state[AHEAD], -gain), gain)
     climbs = table.heights.shape[0] > 0 and beside_steps(table.heights, x, z)
     most = _climbing_speed(table) if climbs else 0.0
     gait = min(max(velocity, -most), most) if climbs else velocity
     # the gait follows more slowly than the root: recorded roots stop within one step, feet cannot
-    # 9.0: the gait follows the root's speed no faster than this [m/s^2]
-    _change_speed(table, state, gait, 9.0 * dt)
-    # 3.0: trunk and arms follow no faster than this [m/s^2]
-    slow = 3.0 * dt
+    _change_speed(table, state, gait, ACCELERATION * dt)
+    slow = STYLE_ACCELERATION * dt
     state[STYLE] += min(max(state[SPEED] - state[STYLE], -slow), slow)
     # a filtered turn never becomes 0 by itself, and a person who rests would never count as settled
     if rests and abs(state[TURN]) < 0.02:
@@ -621,12 +635,9 @@ def step_gait(table, state, x, z, heading, dt):
         ):  # steps are as long as the stairs have them, so their number depends on the speed
             rate = abs(velocity) / max(_at(table.travel, k, f), 0.2)
         # on the spot the root travels nothing; steps then follow from the turn
-        # 0.7: number of cycles of two steps per radian of a turn on the spot: a foot is placed anew every 41
-        # degrees
-        rate = max(rate, 0.7 * abs(state[TURN]))
+        rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
         # whoever has stopped still brings the feet together
-        # 1.5: cadence at which feet that stand wrong are set right
-        rate = max(rate, 1.5) if velocity == 0.0 else rate
+        rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
         flies = state[FOOT + AIR] + state[FOOT + FOOT_COLUMNS + AIR]
         if flies == 1.0 and not climbs:  # a foot that is left behind needs the other one soon
             behind = 0 if state[FOOT + AIR] == 0.0 else 1
@@ -701,8 +712,7 @@ def _advance(table, k, f, state, ahead, rate, rests):
         at = FOOT + foot * FOOT_COLUMNS
         # what differs from the gait fades by a share in each step, so that it has no end that could be seen
         for i in range(4):
-            # 0.78: share of `SHAPE_OFF` that is left after a step
-            state[at + SHAPE_OFF + i] *= 0.78
+            state[at + SHAPE_OFF + i] *= SHAPE_LEFT
         own = _own_phase(state[PHASE], foot)
         after = own + ahead
         if state[at + AIR] == 0.0:
@@ -752,13 +762,9 @@ def _aim(table, k, f, state, foot, span, gone):
     """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
-    # a foot lands turned from the body by no more than this
-    twist_rad = 0.6
-    yaw = min(max(state[TURN] * half, -twist_rad), twist_rad)
-    # largest distance at which a foot lands from where the steady gait has it [m]
-    off_m = 0.45
+    yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
     # the root outruns the gait while it speeds up; without this feet land behind and the pelvis sinks
-    ahead = min(max((state[AHEAD] - state[SPEED]) * half, -off_m), off_m)
+    ahead = min(max((state[AHEAD] - state[SPEED]) * half, -OFF_M), OFF_M)
     # on an arc the body drifts aside by v w t^2 / 2 in half a stance
     left = min(max(state[SPEED] * state[TURN] * half * half / 2, -0.12), 0.12)
     if table.heights.shape[0]:
@@ -779,9 +785,7 @@ def _show(state, ahead):
     gap = state[PHASE] - state[SHOWN] - ahead
     # the shorter way round the cycle
     gap -= math.floor(gap + 0.5)
-    # cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump
-    catch_up = 0.015
-    state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -catch_up), catch_up)) % 1.0
+    state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -CATCH_UP), CATCH_UP)) % 1.0
 
 
 @kernel_part(borrows=True)
@@ -861,23 +865,19 @@ def _will_lack(table, k, f, state, foot):
 def _settle_pelvis(table, k, f, state, dt):
     """Returns how far the pelvis must be below that of the gait for the planted feet; it sinks at once and rises slowly."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
-    # share of a swing from which on the pelvis sinks for a foot that comes down on a lower tread
-    draws = 0.3
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         # a foot that has left needs the pelvis less and less: the pelvis would bob if it dropped the demand at once
-        # 0.4: share of a foot's swing after which the pelvis no longer keeps that foot within reach
-        done = min((state[at + SHARE] - state[at + SINCE]) / 0.4, 1.0) if state[at + AIR] > 0.0 else 0.0
+        done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
         sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
         if climbs and state[at + AIR] > 0.0 and _steps_off(table, state, foot):
             # one that will come down on a lower tread draws the pelvis down in time
-            share = min(max((state[at + SHARE] - draws) / (1 - draws), 0.0), 1.0)
+            share = min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)
             sink = max(sink, _eased(share) * _will_lack(table, k, f, state, foot))
     if climbs and beside_steps(table.heights, state[X], state[Z]):
         sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
     # down at once, or a leg would tear off its foot; up slowly, or the body would bounce at every step
-    # 0.5: the pelvis comes back up no faster
-    state[SINK] = max(sink, state[SINK] - 0.5 * dt)
+    state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 
 @kernel_part(borrows=True)
@@ -932,10 +932,7 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
             z = xz[t - 1, 1] + share * (xz[t, 1] - xz[t - 1, 1])
             dt = max(seconds[t] / count, LEAST_S)
             # times are rounded in files: the same step must give the same bits as when it was simulated
-            # 1e-6: steps that differ by less are equally long. Times of recordings are whole nanoseconds,
-            # and 33,333,333 ns for 1/30 s moved feet by up to 5 cm, as a foot that leaves the floor one
-            # step later lands elsewhere.
-            dt = step_s if abs(dt - step_s) < 1e-6 else dt
+            dt = step_s if abs(dt - step_s) < SAME_S else dt
             step_gait(table, states[t], x, z, heading[t - 1] + share * turn, dt)
 
 

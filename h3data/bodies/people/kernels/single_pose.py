@@ -32,7 +32,7 @@ def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
 
 @kernel(error_model="numpy")
 def hold(frame, place, grip, upright, tilt, out):
-    """Writes the pose7 of a held thing to ``out`` [7]: rigid with a palm but for its rotation, which is blended.
+    """Writes the pose7 of a held thing to ``out`` [7]: it moves rigidly with a palm, except that its rotation is blended.
 
     Args:
         frame: frame of the wrist [4, 4].

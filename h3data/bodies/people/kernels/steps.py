@@ -17,6 +17,13 @@ UP_SHARE, DOWN_SHARE = 0.2, 0.25
 """Shares of a swing within which the foot gets over the noses, and comes down from there."""
 EDGE_M = 0.015
 """Distance beyond heel and toe tip that a swinging foot keeps clear [m], as pitch and bend move them by some millimetres."""
+RISER_M, OVERHANG_M, CLEAR_M = 0.025, 0.03, 0.02
+"""Least distance of a foot from the riser in front of it or behind it; largest distance by which heel or toe stand out over the
+edge of a tread, as many feet are nearly as long as a tread; height at which both pass over the noses [m]."""
+USUAL, DOWN_NEARER = 0.62, 0.3
+"""Shares of a tread: people go on two treads further with each foot, also where the middle of the foot would be nearer to
+another, by the first at most; on the way down feet land nearer to the body by the second, as a foot far ahead and below is out
+of reach."""
 
 
 @kernel_part()
@@ -83,15 +90,11 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
     if came_from >= 0:
         down = place < came_from
         # going down, the next tread is already below: a foot that reached for the middle would overshoot it
-        # 0.3: share of a tread by which feet land nearer to the body on the way down, as a foot far ahead and
-        # below is out of reach
-        near = place + 0.3 if down else place
+        near = place + DOWN_NEARER if down else place
         tread = int(min(max(math.floor(near + 0.5), 0.0), last))
         usual = came_from - 2 if down else came_from + 2
         # keeps the rhythm of one tread a step where the length of the stride is between two
-        # 0.62: people go on two treads further with each foot, also where the middle of the foot would be
-        # nearer to another, by this share of a tread at most
-        if 0 <= usual <= last and abs(near - usual) < 0.62:
+        if 0 <= usual <= last and abs(near - usual) < USUAL:
             tread = usual
     cosine = _upwards(heights, k, heading)
     # a foot that is turned aside takes less of the tread
@@ -101,13 +104,10 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
     to = at
     if tread > 0:
         # not over the edge behind it,
-        # 0.03: heel or toe stand out over the edge of a tread by no more than this: many feet are nearly as
-        # long as a tread
-        to = max(to, (tread - 0.5) * going - 0.03 - low)
+        to = max(to, (tread - 0.5) * going - OVERHANG_M - low)
     if tread < last:
         # and not into the riser before it
-        # 0.025: least distance of a foot from the riser in front of it or behind it [m]
-        to = min(to, (tread + 0.5) * going - 0.025 - high)
+        to = min(to, (tread + 0.5) * going - RISER_M - high)
     move = (to - at) * (1.0 if heights[k, END] > heights[k, START] else -1.0)
     return (x + move, z) if heights[k, AXIS] == 0.0 else (x, z + move)
 
@@ -126,8 +126,7 @@ def over_steps(heights, x, z, heading, heel, toe, low, high, share):
     for at in (heel, toe):
         edge = at + math.copysign(EDGE_M, at)
         under = max(under, tread_at(heights, 0.0, x + c * edge, z - s * edge))
-        # 0.02: heel and toe tip pass over the noses at this height
-        nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + 0.02)
+        nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + CLEAR_M)
     # full height only in the middle: at the ends the foot is on a tread, below the line of the noses
     up, down = min(share / UP_SHARE, 1.0), min((1.0 - share) / DOWN_SHARE, 1.0)
     over = up * up * (3 - 2 * up) * down * down * (3 - 2 * down)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.state import HumanTensors, RobotTensors, tensors_of
 from sim_kinematic.tasks.skills.household import TRACK
 
 RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
@@ -160,10 +160,4 @@ class Play(NamedTuple):
 
     def tensors(self) -> Iterator[Tensor]:
         """Return all tensors, in a fixed order."""
-        for part in self:
-            yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)
-
-
-def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """Return ``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
-    return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+        return tensors_of(self)

@@ -26,9 +26,9 @@ from h3data_training.torch.rearrange.skills import (
     of_object,
     one_of,
 )
-from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Hands, Play, SubGoal, choose
+from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Hands, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places, Tables
-from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.state import HumanTensors, RobotTensors, choose
 from h3data_training.torch.step import Grids, heading_direction
 from h3data_training.torch.task_worlds import in_words, on_meta, require_tensors, typed
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
@@ -199,7 +199,7 @@ class RearrangeTensors:
         return does._replace(passed=plan.passed, tries=plan.tries), torch.where(k < 0, waits, number)
 
     def _judged(self, play: Play, places: Places) -> Play:
-        """With what the step was worth."""
+        """Return the state with the reward of the step."""
         spec, collides, hands = self.spec, self.touching(play.robot, play.human), play.hands
         if not self._is_usual:
             return self._judged_by_task(play._replace(collides=collides))
@@ -209,7 +209,7 @@ class RearrangeTensors:
         return self._ended(play._replace(paid=paid, success=success, collides=collides), reward, terminated)
 
     def _judged_by_task(self, play: Play) -> Play:
-        """With what the task says of the step."""
+        """Return the state with the task's judgement of the step."""
         rollout = self._rollout(play, dict(play.memory))
         outcome: Any = self.task.judge(rollout)
         memory = {name: typed(rollout.memory[name], self.dtype) for name in play.memory}

@@ -340,7 +340,7 @@ class SkillTensors:
         return place_hand(rest, robot.xz, robot.heading, floor_y).point
 
     def _judged(self, before: SkillPlay, now: SkillPlay) -> SkillPlay:
-        """With what the step was worth."""
+        """Return the state with the reward of the step."""
         going = ~before.ended
         judge = {"nav": self._nav, "pick": self._pick, "place": self._place_skill}[self.skill]
         reward, success, lost, paid = judge(before, now)
