@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.kernels import kernel
+from h3data.kernels.entries import Entries
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf
@@ -263,6 +264,7 @@ class Strider:
     def walk_on(self, free: FreeSpace) -> None:
         """Use another floor for the same path."""
         self.free = free
+        self._call = Entries()
         self._grid = free.sdf, free.origin, free.cell_m, free.heights, self._radius_m
 
     def halt(self) -> None:
@@ -303,8 +305,8 @@ class Strider:
         """Returns where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
-        self.arrived = stride_step(
-            *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
+        self.arrived = self._call(
+            stride_step, *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
         )
         # a copy: the next step changes the state in place
         return state[:2].copy(), float(state[2])

@@ -16,6 +16,7 @@ from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.geometry import Array, heading_from_quat
+from h3data.kernels.entries import Entries
 from h3data.scene.floor_heights import LEVEL
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class PlantedWalk:
         """``base`` [7] is the agent root."""
         from h3data.bodies.people.kernels.planted import STATE_COLUMNS, stride_one
 
-        self.tables, self._stride_one = tables, stride_one
+        self.tables, self._stride_one, self._call = tables, stride_one, Entries()
         self.state: Array = np.zeros(STATE_COLUMNS)
         """A row of `planted_states` [K]; a copy of it keeps a moment."""
         self.stand(base)
@@ -151,14 +152,14 @@ class PlantedWalk:
         """Puts both feet where they belong under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
-        stand_one(self.tables, self.state, *_place(base))
+        self._call(stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Returns whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
-        return bool(one_stands(self.tables, self.state))
+        return bool(self._call(one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
@@ -186,18 +187,21 @@ class PlantedWalk:
         """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
-        step_one(self.tables, self.state, *_place(base), STEP_S)
+        self._call(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        self._stride_one(self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        self._call(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
         """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
-        quats, pelvis = pose_planted(self.tables, self.state[None])
+        from h3data.bodies.people.kernels.planted import pose_gaits
+
+        quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
+        self._call(pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -207,7 +211,7 @@ class PlantedWalk:
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 
-        plant_legs(self.tables, self.state, quats, pelvis)
+        self._call(plant_legs, self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:
