@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PHASES, SHARES = 64, 49
 STEP_S = 1 / 30
+_CALL = Entries()
+"""Kernels called with tables: those of all bodies and floors are contiguous and float64."""
 
 
 def gait_tables(gaits: Gaits) -> GaitTables:
@@ -143,7 +145,7 @@ class PlantedWalk:
         """``base`` [7] is the agent root."""
         from h3data.bodies.people.kernels.planted import STATE_COLUMNS, stride_one
 
-        self.tables, self._stride_one, self._call = tables, stride_one, Entries()
+        self.tables, self._stride_one = tables, stride_one
         self.state: Array = np.zeros(STATE_COLUMNS)
         """A row of `planted_states` [K]; a copy of it keeps a moment."""
         self.stand(base)
@@ -152,14 +154,14 @@ class PlantedWalk:
         """Puts both feet where they belong under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
-        self._call(stand_one, self.tables, self.state, *_place(base))
+        _CALL(stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Returns whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
-        return bool(self._call(one_stands, self.tables, self.state))
+        return bool(_CALL(one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
@@ -187,13 +189,13 @@ class PlantedWalk:
         """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
-        self._call(step_one, self.tables, self.state, *_place(base), STEP_S)
+        _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        self._call(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
@@ -201,7 +203,7 @@ class PlantedWalk:
         from h3data.bodies.people.kernels.planted import pose_gaits
 
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
-        self._call(pose_gaits, self.tables, self.state[None], quats, pelvis)
+        _CALL(pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -211,7 +213,7 @@ class PlantedWalk:
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 
-        self._call(plant_legs, self.tables, self.state, quats, pelvis)
+        _CALL(plant_legs, self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:
