@@ -83,7 +83,7 @@ def _rearrange(emit: Emit) -> None:
         emit(f"sim.rearrange_env.high_{name}_steps_per_cpu_s", steps / seconds, "steps/s")
         emit(f"sim.rearrange_env.high_{name}_choices_per_cpu_s", choices / seconds, "choices/s")
     emit("sim.rearrange.w256_steps_per_cpu_s", _rearranging(256, endless, rng), "steps/s")
-    whole = _rearranging(256, endless, rng, interrupts_when_close=False)
+    whole = _rearranging(256, endless, rng, interrupts=False)
     emit("sim.rearrange.w256_whole_skills_steps_per_cpu_s", whole, "steps/s")
     watched = h3data.make("rearrange", HOME, render_mode="rgb_array")
     watched.reset(seed=0)
@@ -91,10 +91,16 @@ def _rearrange(emit: Emit) -> None:
     emit("sim.rearrange_env.reset_ms", 1e3 * median(cpu_s(watched.reset) for _ in range(20)), "ms")
 
 
-def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator, **options: bool) -> float:
+def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator, *, interrupts: bool = True) -> float:
     """Simulated steps of all worlds per CPU second, whose robots choose skills at random beside a planner."""
     env = h3data.make(
-        "rearrange", HOME, partner="both", observations=STATE_SENSES, spec=spec, num_envs=worlds, **options
+        "rearrange",
+        HOME,
+        partner="both",
+        observations=STATE_SENSES,
+        spec=spec,
+        num_envs=worlds,
+        interrupts_when_close=interrupts,
     )
     _, info = env.reset(seed=0)
     rates = []

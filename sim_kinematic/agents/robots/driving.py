@@ -102,7 +102,7 @@ class RobotDriver:
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._planned: tuple[tuple[Any, ...], list[list[float]]] = (), []
-        """What the last maneuver was to lead around, and its commands."""
+        """Question of the last search for a maneuver, and the commands that it found."""
         self._held_up = np.full(3, np.inf), 0
         """Position at the last progress in stepping aside, and the number of steps since."""
 
