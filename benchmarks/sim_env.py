@@ -47,7 +47,11 @@ def run(emit: Emit) -> None:
 
 
 def _rearrange(emit: Emit) -> None:
-    """Emits ``sim.rearrange_env.*`` and ``sim.rearrange.w256_steps_per_cpu_s``."""
+    """Emits ``sim.rearrange_env.*``, ``sim.rearrange.w256_steps_per_cpu_s`` and the same of whole skills.
+
+    In the first, robots choose anew at every step while the person is close, and after some rounds most of them are, so that
+    nearly every round is one step of one interrupted skill. Where choices are not interrupted, skills run to their ends.
+    """
     endless = RearrangeSpec(max_steps=10**6, end_on_collision=False)
     rng = np.random.default_rng(0)
     for name, senses, size in (
@@ -79,15 +83,25 @@ def _rearrange(emit: Emit) -> None:
         emit(f"sim.rearrange_env.high_{name}_steps_per_cpu_s", steps / seconds, "steps/s")
         emit(f"sim.rearrange_env.high_{name}_choices_per_cpu_s", choices / seconds, "choices/s")
     emit("sim.rearrange.w256_steps_per_cpu_s", _rearranging(256, endless, rng), "steps/s")
+    whole = _rearranging(256, endless, rng, interrupts=False)
+    emit("sim.rearrange.w256_whole_skills_steps_per_cpu_s", whole, "steps/s")
     watched = h3data.make("rearrange", HOME, render_mode="rgb_array")
     watched.reset(seed=0)
     emit("sim.rearrange_env.render_ms", 1e3 * median(cpu_s(watched.render) for _ in range(20)), "ms")
     emit("sim.rearrange_env.reset_ms", 1e3 * median(cpu_s(watched.reset) for _ in range(20)), "ms")
 
 
-def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator) -> float:
+def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator, *, interrupts: bool = True) -> float:
     """Simulated steps of all worlds per CPU second, whose robots choose skills at random beside a planner."""
-    env = h3data.make("rearrange", HOME, partner="both", observations=STATE_SENSES, spec=spec, num_envs=worlds)
+    env = h3data.make(
+        "rearrange",
+        HOME,
+        partner="both",
+        observations=STATE_SENSES,
+        spec=spec,
+        num_envs=worlds,
+        interrupts_when_close=interrupts,
+    )
     _, info = env.reset(seed=0)
     rates = []
     for _ in range(3):

@@ -8,6 +8,7 @@ import gc
 import importlib
 import lzma
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,8 @@ from numba.core.runtime.nrt import rtsys
 
 from h3data import kernels
 from h3data.kernels import decorators, digests, shipped
+from h3data.kernels.entries import Entries
+from h3data.scene.freespace._sdf import sample_sdf_many
 from tests.paths import ROOT
 
 KERNEL = """
@@ -416,3 +419,13 @@ def test_an_index_that_names_renamed_modules_is_made_anew(tmp_path: Path) -> Non
     Path(Kept._index_path).write_bytes(b"old")
     assert decorators._index_of(Kept()) == {}
     assert not Path(Kept._index_path).exists()
+
+
+def test_entries_give_what_kernels_give_and_pickle_without_machine_code():
+    sdf, origin, points = np.random.default_rng(0).random((4, 5)), np.zeros(2), np.array([[0.3, 0.4], [1.2, 0.1]])
+    call = Entries()
+    for _ in range(2):  # the first call finds the machine code, the second one uses it
+        assert (call(sample_sdf_many, sdf, origin, 0.3, points) == sample_sdf_many(sdf, origin, 0.3, points)).all()
+    again = pickle.loads(pickle.dumps(call))
+    assert (again(sample_sdf_many, sdf, origin, 0.3, points) == sample_sdf_many(sdf, origin, 0.3, points)).all()
+    assert call(sample_sdf_many.py_func, sdf, origin, 0.3, points[:0]).shape == (0,)  # as with NUMBA_DISABLE_JIT

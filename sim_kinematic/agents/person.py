@@ -448,8 +448,7 @@ class Person:
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
         """A world position [3] in the agent root frame."""
-        inverse = pose_inverse(self.base)
-        return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
+        return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
         """Poses of the body while a hand moves to a world position [3], in the agent root frame.
@@ -658,6 +657,12 @@ def _blended(a: Array, b: Array, share: float) -> Array:
     out = np.empty(a.shape)
     blend_pose(a, b, float(share), out)
     return out
+
+
+def seen_from(base: Array, position: ArrayLike) -> Array:
+    """Return a world position [3] in the frame of an agent root at a pose7 [7]."""
+    inverse = pose_inverse(base)
+    return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:

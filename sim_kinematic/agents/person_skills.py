@@ -18,7 +18,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_path, stands_before, why_not
-from sim_kinematic.agents.person import MotionResult, Person, Transition
+from sim_kinematic.agents.person import MotionResult, Person, Transition, seen_from
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import BodyClearance
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Objects, Skill, SkillResult
@@ -676,7 +676,7 @@ class PersonActor:
         return SkillResult("done") if result.success else SkillResult("failed", result.reason or "out_of_reach")
 
     def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        seen = Person(self.person.body, self.free.root_pose(stand[:2], float(stand[2]))).seen(point)
+        seen = seen_from(self.free.root_pose(stand[:2], float(stand[2])), point)
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:

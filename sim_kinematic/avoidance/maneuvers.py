@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import drive_base, integrate, is_clear
+from sim_kinematic.motion.step import are_clear, drive_base
 
 HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
@@ -68,13 +68,19 @@ def _search(
 
     Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
     heading at the end, to within ``facing`` [rad]. If ``slides``, the first move slides along obstacles as in
-    `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step.
+    `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step; the same search without sliding
+    must have failed before.
     """
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
-    sector, way_poses = 2.0 * math.pi / HEADINGS, np.empty((steps, 3))
+    sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
+    # moves that turn alike pass the same headings, whose cosines and sines are computed once
+    alike, axes = np.arange(len(moves)), np.empty((len(moves), steps + 1, 3))
+    for m in range(1, len(moves)):
+        for other in range(m - 1, -1, -1):
+            alike[m] = other if moves[other, 1] == moves[m, 1] else alike[m]
     poses[0, 0], poses[0, 1], poses[0, 2] = x, z, heading
-    parents[0], moved[0], count = -1, -1, 1
+    parents[0], moved[0], count, slid = -1, -1, 1, False
     heap = [(0.0, 0.0, 0)]
     while len(heap) > 0:
         _, cost, node = heapq.heappop(heap)
@@ -90,21 +96,29 @@ def _search(
         if left[i, j] <= enough and off <= facing and node > 0:
             return node
         for m in range(len(moves)):
+            if alike[m] == m:
+                nh = ph
+                for s in range(steps + 1):
+                    axes[m, s, 0], axes[m, s, 1], axes[m, s, 2] = math.cos(nh), math.sin(nh), nh
+                    nh += moves[m, 1] * dt
             # bounded: the world stands still while it searches, and a robot that finds nothing may wait or
             # take a detour
             if count >= len(parents):
                 return -1
-            nx_, nz_, nh = px, pz, ph
-            for s in range(steps):
-                # only the first move slides: it frees a base that is wedged in, and costs more than a
-                # test of a pose
-                if slides and node == 0:
+            nx_, nz_, nh, turn = px, pz, ph, alike[m]
+            for s in range(1, steps + 1):  # as `integrate`
+                nx_ += axes[turn, s - 1, 0] * moves[m, 0] * dt
+                nz_ -= axes[turn, s - 1, 1] * moves[m, 0] * dt
+                way[s, 0], way[s, 1], nh = nx_, nz_, axes[turn, s, 2]
+            # only the first move slides: it frees a base that is wedged in, and costs more than a test of a
+            # pose
+            if slides and node == 0:
+                nx_, nz_, nh = px, pz, ph
+                for s in range(1, steps + 1):
                     nx_, nz_, nh, _ = drive_base(
                         sdf, origin, cell, nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt, offsets, *slide
                     )
-                else:
-                    nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
-                    way_poses[s, 0], way_poses[s, 1], way_poses[s, 2] = nx_, nz_, nh
+                    slid |= nx_ != way[s, 0] or nz_ != way[s, 1] or nh != axes[turn, s, 2]
             gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
             # else a base pressed against a wall would creep along it by millimetres, through thousands of
             # nodes
@@ -117,8 +131,10 @@ def _search(
                 continue
             # only now, where it leads to anything new: to ask the floor is what costs
             free = True
-            for s in range(0 if slides and node == 0 else steps):
-                if not is_clear(sdf, origin, cell, way_poses[s, 0], way_poses[s, 1], way_poses[s, 2], offsets, radius):
+            for s in range(1, 1 if slides and node == 0 else steps + 1):
+                if not are_clear(
+                    sdf, origin, cell, way[s, 0], way[s, 1], axes[turn, s, 0], axes[turn, s, 1], offsets, radius
+                ):
                     free = False
                     break
             if not free:
@@ -128,9 +144,9 @@ def _search(
                     free = False
             if not free:
                 continue
-            way = moves[m, 0] * steps * dt
+            gone = moves[m, 0] * steps * dt
             cost_here = (
-                cost + (way if way > 0 else -BACKWARDS_COST * way) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
+                cost + (gone if gone > 0 else -BACKWARDS_COST * gone) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
             )
             poses[count, 0], poses[count, 1], poses[count, 2] = nx_, nz_, nh
             parents[count], moved[count] = node, m
@@ -139,6 +155,9 @@ def _search(
             rest = max(left[a, b] - enough, 0.0) + max(off - facing, 0.0) / sector * TURN_COST_M
             heapq.heappush(heap, (cost_here + GREED * rest, cost_here, count))
             count += 1
+        # a search that begins like the one without sliding, which has failed, would fail as well
+        if slides and not slid:
+            return -1
     return -1
 
 

@@ -13,7 +13,7 @@ agent that is held up by somebody driven from outside goes to a refuge until the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
 from typing import Protocol
@@ -114,28 +114,31 @@ class RightOfWay:
 
     def update(self, carrying: Sequence[int] = ()) -> None:
         """Sets ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
+        starts: dict[int, list[float] | None] = {}
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
             turned = abs(wrap_angle(heading - was_heading))
+            starts[number] = self._start(walker)
             # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
             self._still[number] += 1
-            wants = self._start(walker) is not None or walker.hindered_by
+            wants = starts[number] is not None or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
             if number in self._requests:
                 _drop_reached(walker, self._requests[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             request = self._requests.pop(number)
+            starts[number] = self._start(self._walkers[number])
             if request.chose_at is not None and self._stand_offs is not None:
                 self._stand_offs.of(number, request.by).steps = 0  # time to get past
         if self._stand_offs is not None:
             for pair in self._stand_offs.update(self._is_held_off):
                 self._part(self._stand_offs, pair, carrying)
         # the usual case ends here: ranks and paths cost far more than the distances that rule them out
-        if not self._requests and (not self._asks or self._all_are_clear()):
+        if not self._requests and (not self._asks or self._all_are_clear(starts)):
             for walker in self._walkers.values():
                 walker.aside = None
             return
@@ -151,9 +154,9 @@ class RightOfWay:
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
 
-    def _all_are_clear(self) -> bool:
+    def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
         """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
-        return not any(self._may_block(other, me) for other, me in self._pairs)
+        return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
@@ -197,31 +200,35 @@ class RightOfWay:
             return np.vstack([walker.xz[None], route]) if len(route) else NO_PATH
         return walker.path
 
-    def _start(self, walker: Walker) -> NDArray[np.floating] | None:
-        """Returns the first point [2] of `path`; None: it is empty."""
+    def _start(self, walker: Walker) -> list[float] | None:
+        """Returns the first point (x, z) of `path`; None: it is empty."""
         if walker.number in self._requests:
-            return walker.xz if len(self._requests[walker.number].route) else None
-        return walker.path_start
+            return walker.xz.tolist() if len(self._requests[walker.number].route) else None
+        start = walker.path_start
+        return None if start is None else start.tolist()
 
-    def _may_block(self, other: Walker, me: Walker) -> bool:
-        """Returns whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`."""
+    def _may_block(self, other: Walker, me: Walker, starts: Mapping[int, list[float] | None]) -> bool:
+        """Returns whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`.
+
+        ``starts`` are the first points of the paths of both.
+        """
         held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
         if not other.yields:
             return False
         if other.number in me.hindered_by and held_up:
             return True
-        start, moves = self._start(me), self._start(other) is not None
+        start, moves = starts[me.number], starts[other.number] is not None
         if start is None or (moves and not held_up):
             return False
         # plain numbers: this runs for every pair in every step, and arrays of two numbers cost more than the sums
-        (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
+        (x, z), (other_x, other_z) = start, other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         reach += self._beside_m[me.number] + self._extent_m[other.number]
         return math.hypot(other_x - x, other_z - z) <= reach
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
         """Returns whether an agent should step aside for me."""
-        if not self._may_block(other, me):
+        if not self._may_block(other, me, {walker.number: self._start(walker) for walker in (other, me)}):
             return False
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
             return True

@@ -61,7 +61,7 @@ class StandOffs:
         """
         stuck = []
         for pair, encounter in self._encounters.items():
-            (x, z), (other_x, other_z) = (self._walkers[number].xz.tolist() for number in pair)
+            (x, z), (other_x, other_z) = self._walkers[pair[0]].xz.tolist(), self._walkers[pair[1]].xz.tolist()
             if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()

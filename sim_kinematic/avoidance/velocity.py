@@ -167,19 +167,20 @@ def keep_clear(
     arc = abs(wrap_angle.py_func(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
     levels = _CANDIDATES if before is None else np.concatenate([_CANDIDATES, [before]])
     offsets, hull = _discs(base)
-    chosen = choose_command(
+    chosen = free.entries(
+        choose_command,
         free.sdf,
         free.origin,
         free.cell_m,
         (*here, heading),
         goal,
-        wanted,
+        (float(wanted[0]), float(wanted[1])),
         length,
         arc,
         np.array(rows, np.float64),
         (offsets, base.disc_radius_m - spec.wall_tolerance_m),
         hull,
-        (base.max_speed_mps, base.max_turn_rad_s),
+        (float(base.max_speed_mps), float(base.max_turn_rad_s)),
         (spec.horizon_steps, spec.stride_steps, spec.doubt_mps, STEP_S),
         (spec.still_margin_m, spec.gap_weight, spec.heading_weight_m, spec.turn_weight_m, spec.change_weight_m),
         # NaN rather than None: the kernel is compiled for one type
@@ -219,7 +220,7 @@ def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
 @lru_cache(maxsize=64)
 def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the offsets of a base's discs and of those of its hull along its x axis [m]."""
-    return np.array(base.disc_offsets_m), np.array(hull_of(base))
+    return np.array(base.disc_offsets_m, np.float64), np.array(hull_of(base), np.float64)
 
 
 def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:

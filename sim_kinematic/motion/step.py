@@ -51,7 +51,12 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 @kernel(error_model="numpy", inline="always")
 def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
     """Returns whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
-    c, s = math.cos(heading), math.sin(heading)
+    return are_clear(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets, radius)
+
+
+@kernel(error_model="numpy", inline="always")
+def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
+    """Returns the same as `is_clear` of a heading whose cosine ``c`` and sine ``s`` are known."""
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
             return False

@@ -252,7 +252,12 @@ class Strider:
             raise InputError("Expected a walker with a stride, got one who turns on the spot.", code="H3-SIM-038")
         self._radius_m = radius_m
         self.walk_on(free)
-        self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
+        self._rules = (
+            float(spec.speed_mps),
+            tuple(map(float, spec.stride.limits)),
+            round(spec.stride.patience_s / STEP_S),
+            STEP_S,
+        )
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
         self._lengths: list[float] = [0.0, 0.0]
         """`_cumulative`, in which a step looks up where it is."""
@@ -263,7 +268,7 @@ class Strider:
     def walk_on(self, free: FreeSpace) -> None:
         """Use another floor for the same path."""
         self.free = free
-        self._grid = free.sdf, free.origin, free.cell_m, free.heights, self._radius_m
+        self._grid = free.sdf, free.origin, free.cell_m, free.heights, float(self._radius_m)
 
     def halt(self) -> None:
         """Stop the person, because something else has brought them to a stand."""
@@ -303,8 +308,8 @@ class Strider:
         """Returns where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
-        self.arrived = stride_step(
-            *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
+        self.arrived = self.free.entries(
+            stride_step, *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
         )
         # a copy: the next step changes the state in place
         return state[:2].copy(), float(state[2])

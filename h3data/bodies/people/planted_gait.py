@@ -16,6 +16,7 @@ from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.geometry import Array, heading_from_quat
+from h3data.kernels.entries import Entries
 from h3data.scene.floor_heights import LEVEL
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 PHASES, SHARES = 64, 49
 STEP_S = 1 / 30
+_CALL = Entries()
+"""Kernels called with tables: those of all bodies and floors are contiguous and float64."""
 
 
 def gait_tables(gaits: Gaits) -> GaitTables:
@@ -151,14 +154,14 @@ class PlantedWalk:
         """Puts both feet where they belong under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
-        stand_one(self.tables, self.state, *_place(base))
+        _CALL(stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Returns whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
-        return bool(one_stands(self.tables, self.state))
+        return bool(_CALL(one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
@@ -186,18 +189,21 @@ class PlantedWalk:
         """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
-        step_one(self.tables, self.state, *_place(base), STEP_S)
+        _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        self._stride_one(self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
         """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
-        quats, pelvis = pose_planted(self.tables, self.state[None])
+        from h3data.bodies.people.kernels.planted import pose_gaits
+
+        quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
+        _CALL(pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -207,7 +213,7 @@ class PlantedWalk:
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 
-        plant_legs(self.tables, self.state, quats, pelvis)
+        _CALL(plant_legs, self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:

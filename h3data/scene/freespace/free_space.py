@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, sloped_pose
+from h3data.kernels.entries import Entries
 from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
@@ -127,6 +128,11 @@ class FreeSpace(FloorMap):
         return sloped_pose(self.height_at, xz, heading_rad, pitch_over_m)
 
     @cached_property
+    def entries(self) -> Entries:
+        """Kernels called with the arrays of this floor."""
+        return Entries()
+
+    @cached_property
     def has_stairs(self) -> bool:
         """Returns whether one may walk from one storey to another."""
         return bool(self.heights[:, STEPS].any())
@@ -204,7 +210,7 @@ class FreeSpace(FloorMap):
 
         Ends off the free area are moved to it first; farther than ``max_snap_m`` there is no path.
         """
-        return each_pair(lambda p, q: geodesic_many(self.graph, p, q, max_snap_m), a, b)
+        return each_pair(lambda p, q: self.entries(geodesic_many, self.graph, p, q, float(max_snap_m)), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Way points [k, 2] of the shortest path from a [2] to b [2], both ends (as moved) included; k = 0: no path.
@@ -212,7 +218,7 @@ class FreeSpace(FloorMap):
         ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
         """
         p, q = one_point(a), one_point(b)
-        return path_pair(self.graph, p[0], p[1], q[0], q[1], max_snap_m)
+        return self.entries(path_pair, self.graph, p[0], p[1], q[0], q[1], float(max_snap_m))
 
     def next_waypoint(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
@@ -228,7 +234,7 @@ class FreeSpace(FloorMap):
     ) -> tuple[float, NDArray[np.float64]]:
         """`geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN when there is no path."""
         (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
-        length, x, z = first_leg(self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
+        length, x, z = self.entries(first_leg, self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
         return length, np.array([x, z])
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,8 @@ class RobotDriver:
         """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
+        self._planned: tuple[tuple[Any, ...], list[list[float]]] = (), []
+        """Question of the last search for a maneuver, and the commands that it found."""
         self._held_up = np.full(3, np.inf), 0
         """Position at the last progress in stepping aside, and the number of steps since."""
 
@@ -310,8 +313,14 @@ class RobotDriver:
         if not self.base.maneuvers:
             return []
         discs = np.concatenate([np.zeros((0, 3)), *map(discs_of, self._seen())])
-        commands = plan_maneuver(self.free, self.base, self.xz, self.heading, goal, discs, bearing=bearing)
-        return [(forward, turn) for forward, turn in commands.tolist()]
+        asked = self.free, self.base, self.xz.tolist(), self.heading, goal.tolist(), discs.tolist(), bearing
+        # a robot that is stuck asks again from where it stands; a search that fails is the longest
+        if asked != self._planned[0]:
+            self._planned = (
+                asked,
+                plan_maneuver(*asked[:2], self.xz, self.heading, goal, discs, bearing=bearing).tolist(),
+            )
+        return [(forward, turn) for forward, turn in self._planned[1]]
 
     def _via(self, goal: NDArray) -> NDArray:
         """Points [N, 2] by which it first goes to a floor point [2]: none, unless it was turned away."""

@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_homes import HomeSpec, build_home
+from sim_kinematic.avoidance import maneuvers
 from sim_kinematic.avoidance.maneuvers import GAIN_M, plan_maneuver
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, is_clear
 
 NOBODY = np.zeros((0, 3))
+EMPTY = -9
 
 
 def floor_of(*rooms: shapely.Polygon) -> FreeSpace:
@@ -63,6 +65,27 @@ def test_none_where_there_is_none() -> None:
     assert not len(plan_maneuver(free, HOME_BASE, start, 0.0, np.array([1.0, 2.2]), in_the_way))
     apart = floor_of(shapely.box(0, 0, 3, 3), shapely.box(5, 0, 8, 3))
     assert not len(plan_maneuver(apart, HOME_BASE, np.array([1.5, 1.5]), 0.0, np.array([6.5, 1.5]), NOBODY))
+
+
+def test_a_search_that_could_not_slide_anywhere_is_not_made_twice() -> None:
+    """In the open a first move that slides is the same move, so the second search is over at once, with the same answer."""
+    free = floor_of(shapely.box(0, 0, 6, 6))
+    ring = np.array([(3 + 1.2 * np.cos(a), 3 + 1.2 * np.sin(a), 0.4) for a in np.arange(12) * np.pi / 6])
+    searches, search = [], maneuvers._search
+
+    def counted(*arguments):
+        arguments[22][:] = EMPTY
+        found = search(*arguments)
+        searches.append((arguments[19], found, int((arguments[22] != EMPTY).sum())))
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(maneuvers, "_search", counted)
+        assert not len(plan_maneuver(free, HOME_BASE, np.array([3.0, 3.0]), 0.0, np.array([0.5, 0.5]), ring))
+    (first, found, many), (second, again, few) = searches
+    assert (first, second) == (False, True)
+    assert found == again == -1
+    assert few <= 1 + 8 < many
 
 
 @pytest.fixture(scope="module")
