@@ -42,6 +42,8 @@ PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
 """Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
+ASIDE_M = 2.0
+"""Least distance between one who asks somebody to move and the thing to which that agent goes [m]."""
 WORK_M = 4.0
 """Time that an errand takes at its places, as the path that one could walk in it [m]."""
 
@@ -309,12 +311,31 @@ class Talker(Speaker, Expert):
         self._finished: set[int] = set()
         """Errands of which somebody has said that they are done."""
         self._known: set[int] = set()
+        self._in_the_way = self._steps_aside = False
+        """True if somebody has asked it to move and it has not yet; true while it walks out of the way."""
 
     def _choose(self, view: RearrangeView) -> Action:
-        """The next skill as of the other experts."""
+        """The next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""
         # a search that has ended was not at the place of which somebody has told
         hinted = self._listen(view) and self.number not in self.plan.doing
-        return Expert.act(self, view._replace(last=None) if hinted else view)
+        action = Expert.act(self, view._replace(last=None) if hinted else view)
+        aside = self._aside(view) if self._in_the_way and self.number not in self.plan.doing else None
+        self._in_the_way, self._steps_aside = False, aside is not None
+        return aside or action
+
+    def _aside(self, view: RearrangeView) -> Action | None:
+        """The way to the nearest thing that is not beside the one who asks; None: there is none."""
+        far = [
+            k
+            for k in range(len(view.objects))
+            if view.is_known(k) and np.hypot(*(view.objects[k, [0, 2]] - view.other_xz)) > ASIDE_M
+        ]
+        near = min(far, key=lambda k: float(np.hypot(*(view.objects[k, [0, 2]] - view.xz))), default=None)
+        return None if near is None else Action("nav_to_object", near)
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
+        return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:
         """Makes the messages about everything that has changed since the last ones."""
@@ -342,6 +363,7 @@ class Talker(Speaker, Expert):
             thing = self._names.index(intent.names[0]) if intent.names else -1
             done = plan.done(view)
             errands = [n for n, errand in enumerate(plan.errands) if errand.thing == thing and n not in done]
+            self._in_the_way = self._in_the_way or intent.kind == "please_move"
             if intent.kind in ("i_take", "i_leave"):
                 plan.doing.pop(event.agent, None)
             if intent.kind == "i_take" and errands:
