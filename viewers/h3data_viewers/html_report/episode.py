@@ -48,7 +48,7 @@ class ReportEpisode:
     recorded: bool = True
     """False if only the metrics of the episode were kept."""
     beside: tuple[EpisodeMetrics, ...] = ()
-    """What further profiles measure (`h3data.metrics.Profile.beside`)."""
+    """Metrics of further profiles (`h3data.metrics.Profile.beside`)."""
     imported: str = ""
     """Rate, people and gaps of a recording that was imported; empty of others."""
 
