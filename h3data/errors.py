@@ -51,6 +51,10 @@ class PluginError(H3DataError):
     """An installed plug-in cannot be used; the message names its package and entry point."""
 
 
+class JobStopError(H3DataError):
+    """A whole job cannot go on, such as when its budget is used up: what was played stays, and no episode is begun."""
+
+
 class UntrustedNameError(InputError):
     """A file names code that is neither built in nor installed, and that the user has not trusted."""
 

@@ -78,6 +78,8 @@ class Profile:
     series: Callable[[Recording], Series] = _no_series
     """Computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
+    beside: str = ""
+    """Key of `Episode.info`. Reports measure recordings that have it by this profile too, in a table of its own."""
 
     def __post_init__(self) -> None:
         wrong = [m.id for m in self.metrics if m.profile != self.name]

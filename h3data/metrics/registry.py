@@ -1,8 +1,8 @@
 """Metric profiles by name, and the profile that measures a recording.
 
 Included are `paper` (as published), `habitat` and `habitat@0.3.0` (as that code computes them), `field` (what papers on
-social navigation report), `social` (the same among any number of people, as four sources define it), `partnr`, and `task`
-(success, reward and time of any task). Installed packages add profiles by
+social navigation report), `social` (the same among any number of people, as four sources define it), `partnr`,
+`llm` (the cost of language models), and `task` (success, reward and time of any task). Installed packages add profiles by
 entry points of the group ``h3data.profiles``; ``module:name`` needs no entry point. A name can stand for several profiles,
 one per task.
 """
@@ -40,6 +40,7 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
         "social": "",
         "partnr": "",  # of h3data_language
         "partnr@habitat": "",
+        "llm": "",  # of h3data_llm
         ANY_TASK: "h3data.metrics.any_task:PROFILE",
     },
     what="metrics profile",

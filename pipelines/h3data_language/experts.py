@@ -21,7 +21,7 @@ from h3data_language.episode import DETOUR, Errand
 from h3data_language.evaluation.records import STATES, Evaluation
 from h3data_language.grounding import FLOOR
 from h3data_language.talk import Intent, Speaker, say
-from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination
+from sim_kinematic.agents.skills import INSIDE, PRIMITIVES, SEARCH, Destination
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
@@ -42,6 +42,12 @@ PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
 """Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
+ASIDE_M = 2.0
+"""Least distance between one who asks somebody to move and the thing to which that agent goes [m]."""
+ESCAPES = tuple(
+    ("turn_" + side,) * 2 + ("move_" + way,) * 4 for way in ("backward", "forward") for side in ("left", "right")
+)
+"""Primitives that are tried in turn by a robot that is stuck in a doorway, about 20 degrees and 1.3 m each."""
 WORK_M = 4.0
 """Time that an errand takes at its places, as the path that one could walk in it [m]."""
 
@@ -199,6 +205,10 @@ class Expert:
         self.search = Search()
         self.number, self.greedy = number, greedy
         self.episode, self.failures, self.moved, self.begun = episode, 0, 0, False
+        self.stuck = 0
+        """Number of skills in a row that ended because a robot could not get on."""
+        self.escape: list[str] = []
+        """Primitives by which it gets free, the next one first."""
 
     def _begin(self, view: RearrangeView) -> None:
         """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
@@ -216,6 +226,8 @@ class Expert:
         plan = self.plan
         plan.places[self.number], plan.asked_at[self.number] = view.xz, view.step
         self._note(view)
+        if self.escape:
+            return Action(self.escape.pop(0))
         now = plan.doing.get(self.number, -1)
         holds = now >= 0 and view.held_by[plan.errands[now].thing] == self.number
         if now < 0 or (now not in plan.open(view, self.number) and not (holds and plan.waits(view, now))):
@@ -260,16 +272,21 @@ class Expert:
     def _note(self, view: RearrangeView) -> None:
         """Takes in how the last skill ended."""
         now = self.plan.doing.get(self.number, -1)
-        if now < 0 or view.last is None or view.action is None:
+        if now < 0 or view.last is None or view.action is None or view.action.skill in PRIMITIVES:
             return
         if view.last.outcome == "failed":
             self.failures += 1
+            self.stuck += view.last.reason == "stuck" and self.plan.kinds[self.number] == "robot"
+            turns = self.stuck // TRIES
+            if self.stuck % TRIES == 0 and turns > 1:
+                self.escape = list(ESCAPES[turns % len(ESCAPES)])
             if self.failures >= TRIES and view.held_by[self.plan.errands[now].thing] != self.number:
                 self.plan.avoided[self.number, now] = view.step + AVOID
                 self.plan.doing.pop(self.number)
                 self.failures = 0
         elif view.last.outcome == "done":
             self.failures = 0
+            self.stuck *= not view.action.skill.startswith("nav")  # who cannot get away can still do what is in reach
             thing = self.plan.errands[now].thing
             if view.action[:2] == ("place", thing):
                 self.plan.brought.add(now)
@@ -309,12 +326,31 @@ class Talker(Speaker, Expert):
         self._finished: set[int] = set()
         """Errands of which somebody has said that they are done."""
         self._known: set[int] = set()
+        self._in_the_way = self._steps_aside = False
+        """True if somebody has asked it to move and it has not yet; true while it walks out of the way."""
 
     def _choose(self, view: RearrangeView) -> Action:
-        """The next skill as of the other experts."""
+        """The next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""
         # a search that has ended was not at the place of which somebody has told
         hinted = self._listen(view) and self.number not in self.plan.doing
-        return Expert.act(self, view._replace(last=None) if hinted else view)
+        action = Expert.act(self, view._replace(last=None) if hinted else view)
+        aside = self._aside(view) if self._in_the_way and self.number not in self.plan.doing else None
+        self._in_the_way, self._steps_aside = False, aside is not None
+        return aside or action
+
+    def _aside(self, view: RearrangeView) -> Action | None:
+        """The way to the nearest thing that is not beside the one who asks; None: there is none."""
+        far = [
+            k
+            for k in range(len(view.objects))
+            if view.is_known(k) and np.hypot(*(view.objects[k, [0, 2]] - view.other_xz)) > ASIDE_M
+        ]
+        near = min(far, key=lambda k: float(np.hypot(*(view.objects[k, [0, 2]] - view.xz))), default=None)
+        return None if near is None else Action("nav_to_object", near)
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
+        return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:
         """Makes the messages about everything that has changed since the last ones."""
@@ -342,6 +378,7 @@ class Talker(Speaker, Expert):
             thing = self._names.index(intent.names[0]) if intent.names else -1
             done = plan.done(view)
             errands = [n for n, errand in enumerate(plan.errands) if errand.thing == thing and n not in done]
+            self._in_the_way = self._in_the_way or intent.kind == "please_move"
             if intent.kind in ("i_take", "i_leave"):
                 plan.doing.pop(event.agent, None)
             if intent.kind == "i_take" and errands:

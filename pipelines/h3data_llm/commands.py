@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from h3data.commands import Group, JsonFlag, Outcome
-from h3data.terminal import aligned
+from h3data.terminal import aligned, counted
+
+if TYPE_CHECKING:
+    from h3data_llm.policy import Decision
+    from h3data_llm.use import ModelUse
 
 
 @dataclass(frozen=True)
 class LlmShow:
     """Show every answer of the language models in recordings: step, call or text, and the reason if it meant nothing.
+
+    Below them are the sums: answers, tokens and time. h3data metrics ds --profile llm has them by episode, with means.
 
     Examples:
         h3data llm show ds#0
@@ -27,8 +34,10 @@ class LlmShow:
         """A line per answer."""
         from h3data.recording.finding import find_episodes
         from h3data_llm.replies import models_in
+        from h3data_llm.use import ModelUse
 
         lines, data = [], []
+        every: list[Decision] = []
         for recording in (stored.read() for stored in find_episodes(self.paths)):
             for model in models_in(recording):
                 rows = [["step", "answer", "seconds", "tokens", ""]]
@@ -38,9 +47,18 @@ class LlmShow:
                     text = " ".join((said or str(d.reply.get("content", ""))).split())[:100]
                     rows.append([str(d.step), text, f"{d.ms / 1e3:.1f}", str(sum(d.tokens)), d.result[:60]])
                 name = f"episode {recording.episode.episode_id}, {recording.agents[model.agent].name}, {model.policy}"
-                lines += [name, aligned(rows)]
-                data.append({"episode": recording.episode.episode_id, **model._asdict()})
-        return Outcome(text="\n".join(lines), data={"models": data})
+                use = ModelUse.of(model.decisions)
+                lines += [name, aligned(rows), _told(use)]
+                data.append({"episode": recording.episode.episode_id, **model._asdict(), "use": use._asdict()})
+                every += model.decisions
+        total = ModelUse.of(every)
+        if len(data) > 1:
+            lines.append(f"all {len(data)}: {_told(total)}")
+        return Outcome(text="\n".join(lines), data={"models": data, "use": total._asdict()})
+
+
+def _told(use: ModelUse) -> str:
+    return f"{counted(use.calls, 'answer')}, {use.tokens:,} tokens ({use.tokens_out:,} of answers), {use.seconds:.1f} s"
 
 
 @dataclass(frozen=True)

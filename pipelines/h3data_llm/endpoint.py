@@ -50,6 +50,8 @@ class Address(NamedTuple):
     """Number of further attempts if the endpoint is gone, late or busy."""
     history: int = 10
     """Number of earlier decisions in a request."""
+    budget: str = ""
+    """File with the budget of the whole job (`h3data_llm.budget`); empty: it has none."""
 
     @classmethod
     def of(cls, text: str) -> Address:
@@ -79,9 +81,9 @@ class Address(NamedTuple):
             raise InputError(
                 f"Expected the mode {' or '.join(MODES)}, got {options['mode'][:40]!r}.", code="H3-LLM-004"
             )
-        numbers = {name: _number(name, value) for name, value in options.items() if name not in ("model", "mode")}
-        url = f"{parts.scheme}://{parts.netloc.lower()}{parts.path.rstrip('/')}"
-        return cls(url, options["model"], options.get("mode", "tools"), **numbers)
+        texts = {name: options.pop(name) for name in ("model", "mode", "budget") if name in options}
+        numbers: dict[str, Any] = {name: _number(name, value) for name, value in options.items()}
+        return cls(f"{parts.scheme}://{parts.netloc.lower()}{parts.path.rstrip('/')}", **texts, **numbers)
 
     @property
     def parts(self) -> SplitResult:

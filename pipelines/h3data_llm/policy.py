@@ -14,6 +14,7 @@ from h3data.errors import InputError
 from h3data.policies import Action, AssignedPolicy, PolicyMaker, RearrangeView
 from h3data_language.task import Language
 from h3data_llm.background import BackgroundModel, PatientEndpoint
+from h3data_llm.budget import JobBudget
 from h3data_llm.endpoint import Address, Endpoint, HttpEndpoint, LanguageModelError
 from h3data_llm.tools import Call, called, kept, lines_of, schemas_of, tools_for
 from h3data_llm.work import Work, Worker
@@ -63,7 +64,7 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
         spec: Its rules, where a job is checked before it begins: then somebody must listen at the address.
 
     Raises:
-        InputError: it is no address, or agents have no skills in the task.
+        InputError: it is no address, agents have no skills in the task, or the file of the budget holds none.
         LanguageModelError: nobody answers.
     """
     if not task.control.has_skills:
@@ -79,6 +80,8 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
         return AssignedPolicy(policy, policy.name, kind)
 
     endpoint = HttpEndpoint(where)
+    if where.budget:
+        JobBudget(where.budget)
     if spec is not None:
         endpoint.check()
     return made
@@ -106,6 +109,7 @@ class LanguageModelPolicy:
         member, names = episode.roster[number], [m.name for m in episode.roster]
         uses = [(str(n), bool(v)) for n, v in episode.extra["uses"]] if places else []
         self.where, self._endpoint, self._number = where, endpoint, number
+        self._budget = JobBudget(where.budget) if where.budget else None
         self._text = WorldText(episode, number, places=places)
         self.tools = tools_for(
             self._text.names,
@@ -136,7 +140,8 @@ class LanguageModelPolicy:
         """Name in recordings: the model, and a digest of options and prompts, and no address."""
 
     def _digest(self) -> str:
-        told = [RULES, TEXT_RULES, self.where._replace(url="", timeout=0, retries=0)]
+        where = self.where._replace(url="", timeout=0, retries=0)
+        told = [RULES, TEXT_RULES, [value for name, value in where._asdict().items() if name != "budget"]]
         return hashlib.sha256(msgspec.json.encode(told)).hexdigest()[:12]
 
     # --- decisions ----------------------------------------------------------------------------------------------------
@@ -144,7 +149,8 @@ class LanguageModelPolicy:
         """The next skill of the present work, or of that which the language model chooses now.
 
         Raises:
-            LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up.
+            LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up; if it is
+                that of the job, a `h3data_llm.budget.BudgetSpentError`.
         """
         result = ""
         while True:
@@ -231,8 +237,12 @@ class LanguageModelPolicy:
         used = sum(sum(decision.tokens) for decision in self.decisions)
         if used >= self.where.tokens:
             raise self._spent("tokens", used, view)
+        if self._budget is not None:
+            self._budget.check()
         body, begun = self.request(view), time.perf_counter()
         answer = self._endpoint.ask(body)
+        if self._budget is not None:
+            self._budget.add(sum(answer.tokens))
         ms, digest = round((time.perf_counter() - begun) * 1e3, 3), hashlib.sha256(body).hexdigest()[:16]
         reply = kept(answer.message)
         self.decisions.append(Decision(int(view.step), digest, reply, answer.tokens, ms, answer.model))
@@ -256,7 +266,7 @@ class LanguageModelPolicy:
             "policy": self.name,
             "agent": self._number,
             "endpoint": self.where.url,
-            "options": {k: v for k, v in self.where._asdict().items() if k != "url"},
+            "options": {k: v for k, v in self.where._asdict().items() if k not in ("url", "budget")},
             "calls": len(self.decisions),
             "tokens": [sum(d.tokens[n] for d in self.decisions) for n in (0, 1)],
             "decisions": [{**d._asdict(), "tokens": list(d.tokens)} for d in self.decisions],

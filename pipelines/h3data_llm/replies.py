@@ -43,7 +43,8 @@ def models_in(recording: Recording) -> list[RecordedModel]:
             RecordedModel(
                 str(each["policy"]),
                 msgspec.convert(each["agent"], int),
-                _record(Address, {**each["options"], "url": "http://recorded"}),
+                # a recording names no file of this machine
+                _record(Address, {**each["options"], "url": "http://recorded", "budget": ""}),
                 tuple(_record(Decision, d) for d in each["decisions"]),
             )
             for each in found

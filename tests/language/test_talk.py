@@ -144,6 +144,17 @@ def test_a_robot_brings_what_a_person_says_to_have_washed() -> None:
     assert any(text.startswith("handled ") for *_, text in said(made))
 
 
+@pytest.mark.parametrize(("text", "walks"), [("please_move", True), ("hello", False)])
+def test_a_planner_with_nothing_to_do_makes_room_for_who_asks(text: str, walks: bool) -> None:
+    task = episode("wash", max_steps=200)
+    made = simulate(Language(), task, {"robot": "language_talk", "human": Parrot(text)})
+    walked = [span for span in made.skills if span.agent == 0 and span.name == "nav_to_object"]
+    moved = np.ptp(made.columns["agent_0.base_pose"][:, [0, 2]], axis=0).max()
+    assert bool(walked) is walks
+    assert bool(moved > 0.5) is walks
+    assert {span.reason for span in walked} <= {"", "max_steps"}
+
+
 @pytest.mark.slow
 def test_what_one_sees_the_other_looks_for_first() -> None:
     task = episode("two_on", seed=1, max_steps=3000, observe="seen")

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from h3data_language.evaluation.layout import Layout
 from h3data_language.evaluation.predicates import Rows, truth_of
 from h3data_language.evaluation.profile import verdict_of
 from h3data_language.evaluation.records import Evaluation, Proposition
+from h3data_language.experts import Expert
 from h3data_language.grounding import home_of, parse
 from h3data_language.task import HANDLING_STEPS, Language, check_extra, put
 from h3data_language.templates import KINDS, TEMPLATES, affords
@@ -38,9 +40,12 @@ from h3data_language.verification import (
     verify_homes,
     verify_task,
 )
+from h3data_pipelines.benchmark.definition import find_benchmark
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.episodes import Choices, make_jobs
-from sim_kinematic.agents.skills import Destination
+from sim_kinematic.agents.roster import kinds_of
+from sim_kinematic.agents.skills import PRIMITIVES, Destination, SkillResult
+from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
@@ -170,6 +175,43 @@ def test_greedy_agents_do_a_task_without_a_common_plan() -> None:
 @lru_cache(maxsize=4)
 def recorded(template: str) -> Any:
     return h3data.simulate(Language(), scenes=HOME, seed=1, spec=LanguageSpec(template=template))
+
+
+def test_a_robot_that_cannot_get_on_again_and_again_tries_other_ways_and_a_person_does_not() -> None:
+    task = episode("two_on", seed=1)
+    kinds = kinds_of(task.roster)
+    held = np.full(len(task.targets), NOBODY)
+
+    def told(number: int, reason: str, times: int) -> list[list[str]]:
+        expert, found = Expert(task, number, kinds, greedy=True), []
+        expert.plan.doing[number] = 0
+        held[0] = number
+        for step in range(times):
+            last = SkillResult("failed", reason)
+            expert._note(SimpleNamespace(last=last, action=Action("nav_to_goal", 0), step=step, held_by=held))  # type: ignore[arg-type]
+            if expert.escape:
+                found.append(expert.escape)
+                expert.escape = []
+        return found
+
+    robot, person = kinds.index("robot"), kinds.index("human")
+    tried = told(robot, "stuck", 15)
+    assert len(tried) == len({*map(tuple, tried)}) == 4
+    assert all(skill in PRIMITIVES for way in tried for skill in way)
+    assert not told(robot, "blocked", 15)
+    assert not told(robot, "stuck", 5)
+    assert not told(person, "stuck", 15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["language_greedy", "language_talk"])
+def test_a_robot_gets_free_that_is_wedged_in_a_doorway(robot: str) -> None:
+    """Task 58 of the benchmark, which failed: the robot backs out of a room and turns too early."""
+    job = find_benchmark("h3-language@1").jobs()[58].base
+    made = simulate(Language(), job.episode(), {"robot": robot, "human": "language_greedy"})
+    assert made.episode.info["ended"] == "success"
+    assert any(span.name in PRIMITIVES for span in made.skills)
+    assert verify(made).equal
 
 
 def test_a_recording_tells_the_task_and_its_evaluation_agrees_with_the_episode() -> None:
@@ -370,7 +412,7 @@ class Porter:
 
 def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
     spec = LanguageSpec(template="inside", max_steps=2500)
-    sampled = Language().episode(h3data.load_scene(OPEN_HOME), seed=3, spec=spec)
+    sampled: Any = Language().episode(h3data.load_scene(OPEN_HOME), seed=3, spec=spec)
     things = [t.name for t in sampled.targets]
     jar, paste, pepper = things
     puts = put(things, pepper, f"inside {DRAWERS}"), put(things, paste, "bed_0"), put(things, jar, "bed_0", paste)

@@ -16,10 +16,13 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.errors import InputError
+from h3data.metrics import UnmeasurableError, measure
+from h3data.recording.finding import find_episodes
 from h3data.recording.log_lines import SAY
 from h3data.scene import FreeSpace
 from h3data_language.episode import LanguageSpec
 from h3data_language.task import Language
+from h3data_llm.budget import JobBudget
 from h3data_llm.endpoint import KEY_VARIABLE, MOST_BYTES, Address, LanguageModelError, reply_of
 from h3data_llm.policy import FAULTS, LanguageModelPolicy
 from h3data_llm.replies import models_in
@@ -422,6 +425,92 @@ def test_generate_evaluate_and_replay_take_a_model_and_list_what_fails(
     assert "No language model answers" in run(
         capsys, "generate", "language", *two, "--policy", server.policy(), "-o", tmp_path / "gone", code=2
     )
+
+
+def test_a_budget_of_a_job_stops_it_between_requests_and_a_larger_one_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(body: dict[str, Any]) -> dict[str, Any]:
+        return call("say", text="hm") if len(body["messages"]) == 2 else call("done")
+
+    budget = tmp_path / "budget.toml"
+    spent = tmp_path / "budget.toml.spent"
+    with chat_server(answer) as server:
+        policy = server.policy(budget=budget)
+        common = ("--scenes", HOME, "--episodes", 3, "--set", "max_steps=30")
+        generate = ("generate", "language", *common, "--policy", policy, "-o", tmp_path / "ds")
+        evaluate = ("evaluate", "language", *common, "--policies", policy, "-o", tmp_path / "ev")
+        budget.write_text("calls = 3")
+        said = run(capsys, *generate, code=2)
+        assert "H3-LLM-035" in said
+        assert "2 episodes (1, 2)" in said
+        assert len(server.requests) == 3  # the second episode, which was not finished, is played again
+        assert "H3-LLM-035" in run(capsys, *generate, "--resume", code=2)
+        assert len(server.requests) == 3
+        budget.write_text("calls = 8\ntokens = 90000")
+        assert "3 episodes" in run(capsys, *generate, "--resume")
+        assert len(server.requests) == len(spent.read_text().split()) == 7
+        assert "2 episodes (1, 2)" not in run(capsys, *evaluate, code=2)
+        assert len(server.requests) == 8
+        budget.write_text("calls = 12")
+        said = run(capsys, *evaluate, code=2)
+        assert "1 episode (2)" in said
+        budget.write_text("calls = 100")
+        assert "scripted" in run(capsys, *evaluate)
+    assert len(list((tmp_path / "ev" / "episodes").iterdir())) == 3
+    made = [stored.read() for stored in find_episodes([tmp_path / "ds"])]
+    assert [told["calls"] for each in made for told in each.episode.info["llm"]] == [2, 2, 2]
+    assert not any("budget" in told["options"] for each in made for told in each.episode.info["llm"])
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        (None, "033"),
+        ("tokens = 0", "034"),
+        ("calls = -1", "034"),
+        ("tokens = 'many'", "034"),
+        ("euros = 5", "034"),
+        ("<html>", "034"),
+        ("", "031"),
+        ("tokens = 5", "032"),
+    ],
+)
+def test_a_file_that_is_no_budget_is_refused_in_one_sentence(content: str | None, code: str, tmp_path: Path) -> None:
+    file = tmp_path / "budget.toml"
+    if content is not None:
+        file.write_text(content)
+    (tmp_path / "budget.toml.spent").write_text("12\nmuch\n")
+    with pytest.raises(InputError, match=f"H3-LLM-{code}") as refused:
+        JobBudget(str(file)).check()
+    assert "\n" not in str(refused.value)
+
+
+def test_the_cost_of_a_model_is_measured_and_reported_from_the_recording_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = [call("say", text="hm"), call("teleport"), call("done")]
+    with chat_server(script(answers)) as server:
+        common = ("--scenes", HOME, "--episodes", 1, "--set", "max_steps=30")
+        run(capsys, "generate", "language", *common, "--policy", server.policy(), "-o", tmp_path / "ds")
+    (made,) = [stored.read() for stored in find_episodes([tmp_path / "ds"])]
+    (told,) = made.episode.info["llm"]
+    found = measure(made, "llm").values
+    assert (found["calls"], found["plans"], found["tokens_out"]) == (3, 2, 60)
+    assert found["tokens"] == sum(told["tokens"]) > 1000
+    assert found["seconds"] == pytest.approx(sum(d["ms"] for d in told["decisions"]) / 1e3)
+    shown = run(capsys, "llm", "show", tmp_path / "ds")
+    assert f"3 answers, {sum(told['tokens']):,} tokens (60 of answers)" in shown
+    page, tables = tmp_path / "report.html", tmp_path / "report.md"
+    run(capsys, "report", tmp_path / "ds", "-o", page, "--markdown", tables, "--pictures", 0)
+    assert f"{sum(told['tokens']):.2f}" in tables.read_text()
+    assert "Cost of language models" in page.read_text()
+    wrong = replace(made, episode=replace(made.episode, info={**made.episode.info, "llm": "x"}))
+    with pytest.raises(UnmeasurableError, match="H3-LLM-026"):
+        measure(wrong, "llm")
+    plain = replace(made, episode=replace(made.episode, info={}))
+    with pytest.raises(UnmeasurableError, match="H3-METRIC-026"):
+        measure(plain, "llm")
 
 
 @pytest.mark.parametrize(

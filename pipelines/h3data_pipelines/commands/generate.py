@@ -36,7 +36,7 @@ from h3data.commands.command import (
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line, command_of
 from h3data.commands.shards import Executor
-from h3data.errors import H3DataError, InputError, suggest_keywords
+from h3data.errors import H3DataError, InputError, JobStopError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
@@ -60,7 +60,7 @@ from h3data_pipelines.jobs.episodes import (
     scenes_of,
     with_skills,
 )
-from h3data_pipelines.jobs.failed_episodes import beside, is_failed
+from h3data_pipelines.jobs.failed_episodes import beside, is_failed, stopped_job
 from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
 from h3data_pipelines.task_options import WITH_SKILLS, policies_of, task_names, task_notes
@@ -346,8 +346,15 @@ class Generate:
         filming = VideoJob(
             self.cameras, threads=executor.threads, people=self.people, light=self.light, backend=backend
         )
+        done, stopped = len(writer), None
         with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:
-            for filmed in results:
+            while True:
+                try:
+                    filmed = next(results, None)
+                except JobStopError as stop:
+                    filmed, stopped = None, stop
+                if filmed is None:
+                    break
                 waiting.append(filmed)
                 if is_failed(filmed.recording):
                     bar.set_postfix(failed=(failures := failures + 1), refresh=False)
@@ -367,6 +374,8 @@ class Generate:
                 bar.update()
         with uninterrupted():
             writer.commit()
+        if stopped is not None:
+            raise stopped_job(stopped, [job.index for job in jobs[len(writer) - done :]])
         if waiting:
             first = waiting[0].recording.episode
             raise H3DataError(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from h3data.errors import InputError
+from h3data.errors import InputError, JobStopError
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import reason_of
 
@@ -48,6 +48,9 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
 
     A pair, or an episode, that raises an error is listed as failed. Partners with the same plan share a recording,
     whose ``info["partners"]`` names them.
+
+    Raises:
+        JobStopError: the whole job cannot go on.
     """
     from h3data.metrics import measure
     from sim_kinematic.tasks.runner import simulate
@@ -94,6 +97,8 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
                 partners.setdefault(plan, []).extend([] if partner is None else [partner])
                 row = {"index": job.base.index, **played[plan]}
                 rows.append(row if partner is None else {**row, "partner": partner})
+            except JobStopError:
+                raise
             except Exception as fault:
                 pair = policy if partner is None else f"{policy} with {partner}"
                 failed.append(f"{pair}: {reason_of(fault)}")

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import traceback
 import uuid
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from h3data.errors import H3DataError, with_code
+from h3data.errors import H3DataError, JobStopError, with_code
 from h3data.recording import AssetRef, Body, Episode, Recording
+from h3data.terminal import counted
 
 if TYPE_CHECKING:
     from h3data_pipelines.jobs.episodes import Job
+
+MOST_LISTED = 20
 
 
 def reason_of(fault: Exception) -> str:
@@ -40,6 +44,13 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
         ),
         columns={"time_ns": np.zeros(0, np.int64)},
     )
+
+
+def stopped_job(stop: JobStopError, left: Sequence[int]) -> JobStopError:
+    """Return the error of a job that cannot go on, with the numbers of the episodes that are left."""
+    more = f" and {len(left) - MOST_LISTED} more" if len(left) > MOST_LISTED else ""
+    listed = ", ".join(map(str, left[:MOST_LISTED])) + more
+    return JobStopError(f"{stop} Not played: {counted(len(left), 'episode')} ({listed}).", code=stop.code)
 
 
 def is_failed(recording: Recording) -> bool:

@@ -13,9 +13,10 @@ from typing import Any, Protocol, TypeVar
 
 from h3data.commands.command import claim_folder, keeping, write_text
 from h3data.commands.executors import check_workers, opened
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, JobStopError
 from h3data.terminal import counted
 from h3data_pipelines.jobs.episodes import Job
+from h3data_pipelines.jobs.failed_episodes import stopped_job
 
 RESULTS = "episodes"
 
@@ -78,6 +79,7 @@ def results_of(
     Raises:
         InputError: the folder holds results of other options, or anything else.
         FormatError: a file among the results is none.
+        JobStopError: the whole job cannot go on; the results so far stay.
     """
     folder = out / RESULTS
     if resume and not folder.is_dir():
@@ -101,10 +103,15 @@ def results_of(
             bar,
             closing(workforce.run(work, wanted, lost=lost)) as results,
         ):
-            for result in results:
-                stored = store(result)
-                write_text(files[stored["job"]["episode"]["index"]], json.dumps(stored) + "\n")
-                bar.update()
+            new = 0
+            try:
+                for result in results:
+                    stored = store(result)
+                    write_text(files[stored["job"]["episode"]["index"]], json.dumps(stored) + "\n")
+                    new += 1
+                    bar.update()
+            except JobStopError as stop:
+                raise stopped_job(stop, [job.base.index for job in wanted[new:]]) from None
     return [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs], len(wanted)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.commands.shards import Executor
-from h3data.errors import InputError
+from h3data.errors import InputError, JobStopError
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.episodes import Job
@@ -23,10 +23,14 @@ if TYPE_CHECKING:
 
 
 def simulate_job(job: Job) -> Recording:
-    """Return one episode, or `failed_recording` of it. It depends on the job alone, so any process may run it."""
+    """Return one episode, or `failed_recording` of it. It depends on the job alone, so any process may run it.
+
+    Raises:
+        JobStopError: the whole job cannot go on.
+    """
     try:
         recording = job.record()
-    except MemoryError:
+    except (MemoryError, JobStopError):
         raise
     except Exception as fault:
         recording = failed_recording(job, fault)

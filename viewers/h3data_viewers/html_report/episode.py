@@ -47,6 +47,8 @@ class ReportEpisode:
     tracks: tuple[Track, ...]
     recorded: bool = True
     """False if only the metrics of the episode were kept."""
+    beside: tuple[EpisodeMetrics, ...] = ()
+    """Metrics of further profiles (`h3data.metrics.Profile.beside`)."""
     imported: str = ""
     """Rate, people and gaps of a recording that was imported; empty of others."""
 

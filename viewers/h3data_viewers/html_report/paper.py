@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from h3data.metrics import (
-    Metric,
-    compare_tables,
-)
+from h3data.metrics import Metric, Profile, compare_tables, tabulate
 from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE, SOCIAL_NAV_PROFILE
 from h3data.metrics.paper.published import published_results
 from h3data.metrics.report_layout import PublishedTable
 from h3data_viewers.html_report.data import Mean, ReportData, Run, same_episodes
+from h3data_viewers.html_report.episode import ReportEpisode
+from h3data_viewers.html_report.reading import profiles_beside
 from h3data_viewers.html_report.tables import (
     NAN,
     Cell,
@@ -173,6 +172,35 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
         columns=tuple(metric_column(m) for m in metrics),
         sections=(Section(title="", rows=_rows(runs, metrics)),),
     )
+
+
+def tables_beside(name: str, runs: Sequence[Run]) -> list[Table]:
+    """A table for each further profile that measures some episodes of a task (`h3data.metrics.Profile.beside`)."""
+    tables = []
+    for profile in profiles_beside():
+        measured = [
+            replace(run, profile=profile, episodes=episodes, table=tabulate(unique, profile=profile.name))
+            for run in runs
+            if (episodes := tuple(_by(profile, run)))
+            # training seeds play the same episodes, and a table refuses an episode that comes twice
+            for unique in [[replace(e.metrics, uid=f"{e.metrics.uid} {e.policy}") for e in episodes]]
+        ]
+        if measured:
+            table = task_table(name, measured)
+            title = f"{profile.title} in {name}"
+            caption = f"By the metrics profile {profile.name}. Mean over episodes with 95% interval."
+            tables.append(replace(table, key=f"{table.key}-{profile.name}", title=title, caption=caption))
+    return tables
+
+
+def _by(profile: Profile, run: Run) -> Iterator[ReportEpisode]:
+    """The episodes of a run that a further profile measures, with its metrics."""
+    for episode in run.episodes:
+        for measured in episode.beside:
+            if measured.profile == profile.name:
+                # of partners who share a recording, each counts
+                own = replace(measured, partner=episode.metrics.partner, metrics=profile.metrics)
+                yield replace(episode, metrics=own)
 
 
 # --- paired differences -----------------------------------------------------------------------------------------------

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.metrics import Profile
+from h3data.metrics import EpisodeMetrics, Profile
 from h3data.metrics.batch import Part, part_recordings, sendable
-from h3data.metrics.registry import profile_for
+from h3data.metrics.registry import all_profiles, profile_for
 from h3data.metrics.requirements import UnmeasurableError
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath
@@ -96,8 +98,24 @@ def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile
         condition=_said(info, "condition"),
         distance_m=_distances(recording),
         tracks=tracks,
+        beside=_beside(recording),
         imported=_said(told, "summary") if isinstance(told := info.get("imported"), Mapping) else "",
     )
+
+
+@cache
+def profiles_beside() -> tuple[Profile, ...]:
+    """The profiles that measure recordings with a certain key in their info, beside that of the task."""
+    return tuple(profile for profile in all_profiles() if profile.beside)
+
+
+def _beside(recording: Recording) -> tuple[EpisodeMetrics, ...]:
+    found = []
+    for profile in profiles_beside():
+        if profile.beside in recording.episode.info:
+            with suppress(UnmeasurableError):  # of a malformed entry there is nothing to tell
+                found.append(sendable(profile.measure(recording)))
+    return tuple(found)
 
 
 def _said(info: Mapping[str, Any], key: str) -> str:

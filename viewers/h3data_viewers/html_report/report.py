@@ -36,6 +36,7 @@ from h3data_viewers.html_report.paper import (
     partner_tables,
     rearrangement_table,
     social_nav_table,
+    tables_beside,
     task_table,
 )
 from h3data_viewers.html_report.pictures import (
@@ -152,6 +153,7 @@ def make_report(
         missing.append(
             "Pictures, paths and times of evaluated episodes: evaluate --save-recordings keeps their recordings."
         )
+    more = [*(table for task in data.tasks for table in tables_beside(task_name(task), data.of_task(task))), *more]
     sections += [ReportSection(table.key, table.title, "table", {"table": table}) for table in more]
     if pairs:
         sections.append(ReportSection("paired", "Paired differences", "tables", {"tables": pairs}))
