@@ -114,7 +114,7 @@ class Benchmark:
         try:
             listed = json.loads(path.read_text(encoding="utf-8"))["episodes"]
             uids = [str(entry["uid"]) for entry in listed]
-        except (OSError, ValueError, KeyError, TypeError) as fault:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
             raise FormatError(
                 f"Expected the episodes of {self.label}, got {fault!r}. File: {path}", code="H3-OPTION-086"
             ) from None
@@ -175,7 +175,7 @@ def read_benchmark(folder: Path) -> Benchmark:
     try:
         text = path.read_bytes()
         file = msgspec.toml.decode(text, type=BenchmarkFile)
-    except (OSError, msgspec.DecodeError, ValueError) as fault:
+    except (OSError, msgspec.DecodeError, ValueError, RecursionError) as fault:
         raise FormatError(f"Expected a benchmark, got: {fault} File: {path}", code="H3-OPTION-085") from None
     if file.format != FORMAT:
         raise FormatError(
