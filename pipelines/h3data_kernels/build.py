@@ -24,7 +24,8 @@ from h3data_pipelines.execution.processes import core_count
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-DOCS = "python -m pytest -q -p no:cacheprovider -m slow tests/product/test_docs_run.py -k"
+TESTS = "python -m pytest -q -p no:cacheprovider"
+DOCS = f"{TESTS} -m slow tests/product/test_docs_run.py -k"
 SESSIONS: dict[str, tuple[str, ...]] = {
     "README": (f"{DOCS} README",),  # its commands as a reader types them
     "documentation": (f'{DOCS} "environments or sessions or rerender or first-table or export or view or report"',),
@@ -41,7 +42,11 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         "h3data generate crowd_nav --scenes small:1 --episodes 1 --max-steps 60 --policy orca --partner social_force "
         "-o {scratch}/orca",
     ),
-    "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/play/test_live.py -k rehearsal",),
+    "floors of others": (  # found in maps and triangles, where no rooms tell of them
+        f"{TESTS} tests/ros/test_maps.py -k drawn_and_measured",
+        f"{TESTS} tests/worlds/test_usd_foreign.py -k right_size_and_floor",
+    ),
+    "live play": (f"{TESTS} -m slow tests/play/test_live.py -k rehearsal",),
 }
 """Commands that users run, by their names in progress messages. ``{scratch}`` is a folder of the session; everything runs in
 the checkout."""
