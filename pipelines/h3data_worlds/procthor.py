@@ -145,7 +145,7 @@ def read_house(file: SceneFile) -> Scene:
 
 
 def _doubts(house: _House) -> list[str]:
-    """What a house has that is not read as it is meant."""
+    """Parts of a house that are not read as they are meant, in words."""
     schema = house.metadata.get("schema", SCHEMA) if isinstance(house.metadata, dict) else SCHEMA
     doubts = [] if schema == SCHEMA else [f"its schema is {str(schema)[:20]!r} and read as {SCHEMA}"]
     walls = {wall.id for wall in house.walls if len(wall.polygon) >= 3}
