@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from h3data.builtin import builtin_root
-from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.errors import FormatError, InputError, suggest
 from h3data.plugins import names_from_data
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.jobs.evaluations import episode_uid
@@ -158,8 +158,7 @@ def find_benchmark(name: str) -> Benchmark:
     if (Path(name) / DEFINITION).is_file():
         return read_benchmark(Path(name))
     raise InputError(
-        f"There is no benchmark {name!r}{did_you_mean(name, labels)}. Expected one of {', '.join(labels)}, or a folder with "
-        f"{DEFINITION}.",
+        f"There is no benchmark {name!r}.{suggest(name, labels, more=f', or a folder with {DEFINITION}')}",
         code="H3-OPTION-097",
     )
 
