@@ -334,7 +334,8 @@ def test_gymnasium_finds_the_environments(script: str) -> None:
 
 
 def test_gymnasium_may_come_second_and_is_not_imported_by_us() -> None:
-    script = "import sys, h3data; print('gymnasium' in sys.modules); import gymnasium; print('h3data/Wander-v0' in gymnasium.registry)"
+    script = "import sys, h3data; print('gymnasium' in sys.modules); import gymnasium"
+    script += "; print('h3data/Wander-v0' in gymnasium.registry)"
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert said.stdout.split() == ["False", "True"]
 
