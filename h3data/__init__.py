@@ -15,10 +15,9 @@ Everything is imported at first use, so `import h3data` is quick.
 
 from __future__ import annotations
 
-import importlib
-import sys
 from typing import TYPE_CHECKING, Any
 
+from h3data.gymnasium_ids import register_ids
 from h3data.moved import announce_moves
 
 announce_moves()
@@ -113,10 +112,7 @@ __all__ = [
     "view",
 ]
 
-if (
-    "gymnasium" in sys.modules
-):  # Gymnasium reads no entry points: its ids need an import, and this is the one people have
-    importlib.import_module("h3data.envs")
+register_ids()
 
 
 def __getattr__(name: str) -> Any:

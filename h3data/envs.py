@@ -2,15 +2,15 @@
 
 ```python
 import gymnasium
-import h3data.envs
+import h3data
 
 gymnasium.make("h3data/SocialNav-v0", scenes="small:1")
 gymnasium.make_vec("h3data/SocialNav-v0", num_envs=64)
-gymnasium.make("h3data.envs:h3data/Rearrange-v0")  # without any other import: Gymnasium imports the module
+gymnasium.make("h3data:h3data/Rearrange-v0")  # without any other import: Gymnasium imports the module
 ```
 
 Keyword arguments are those of `h3data.make`. Gymnasium 1.0 dropped entry points for plug-ins, so that a package has to register
-its environments when it is imported; `h3data` itself does not, because ``import h3data`` must not import Gymnasium.
+its environments when it is imported. ``import h3data`` does so too, as soon as Gymnasium is imported (`h3data.gymnasium_ids`).
 """
 
 from __future__ import annotations

@@ -49,6 +49,10 @@ SESSIONS: dict[str, tuple[str, ...]] = {
     "Habitat": (f"{TESTS} tests/habitat/navmesh tests/scene/freespace tests/pipelines/test_scenes_command.py",),
     "pictures for a GPU": (f"{TESTS} tests/training/torch/test_cameras.py",),
     "oracle skills": (f"{TESTS} tests/sim/agents/test_oracle.py",),
+    "floors of others": (  # found in maps and triangles, where no rooms tell of them
+        f"{TESTS} tests/ros/test_maps.py -k drawn_and_measured",
+        f"{TESTS} tests/worlds/test_usd_foreign.py -k right_size_and_floor",
+    ),
 }
 """Commands that users run, by their names in progress messages, and tests of what they do with files that only users have.
 ``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in ``../shared/real``."""

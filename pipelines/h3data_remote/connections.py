@@ -6,6 +6,7 @@ Neither kind has threads of its own: waiting costs nothing, and a process may be
 from __future__ import annotations
 
 import os
+import select
 import socket
 import ssl
 import time
@@ -66,9 +67,11 @@ class Address:
         try:
             parts = urlsplit(text)
             port = parts.port
+            (parts.hostname or "").encode("idna")  # as the look-up of a name does
         except ValueError:
             raise InputError(
-                "Expected an address such as ws://127.0.0.1:8000: its port is no number.", code="H3-REMOTE-027"
+                "Expected an address such as ws://127.0.0.1:8000: its port is no number, or its host no name.",
+                code="H3-REMOTE-027",
             ) from None
         if "@" in parts.netloc:
             raise InputError(
@@ -182,6 +185,7 @@ class WebSocketConnection:
                 raise PolicyServerError(
                     f"The connection to the policy server at {self._address} is closed.", code="H3-REMOTE-030"
                 )
+            self._refuse_more(deadline, timeout_s)
             self._protocol.send_binary(packed)
             self._send(deadline)
             return self._message(deadline, timeout_s)
@@ -205,6 +209,19 @@ class WebSocketConnection:
             self._socket.close()
 
     # --- inside -------------------------------------------------------------------------------------------------------
+    def _refuse_more(self, deadline: float, timeout_s: float) -> None:
+        """Refuses a server that has sent more than it was asked for: each later answer would be taken for the next request's.
+
+        Raises:
+            PolicyServerError: it has.
+        """
+        if not self._messages and select.select([self._socket], [], [], 0)[0]:
+            self._receive(deadline, timeout_s)
+        if self._messages or self._parts:
+            raise PolicyServerError(
+                f"The policy server at {self._address} sends messages that nobody asked for.", code="H3-REMOTE-062"
+            )
+
     def _message(self, deadline: float, timeout_s: float) -> dict[str, Any]:
         while not self._messages:
             self._receive(deadline, timeout_s)
@@ -323,6 +340,11 @@ class ZmqConnection:
             found = self._call("get_modality_config", None, CONNECT_S)
             self.metadata: dict[str, Any] = found if isinstance(found, dict) else {}
             self._call("reset", {"options": None}, CONNECT_S)
+        except zmq.ZMQError as fault:  # no address of a server, such as *
+            self.close()
+            raise PolicyServerError(
+                f"No policy server answers at {address}: {fault.strerror}. Hint: start it first.", code="H3-REMOTE-063"
+            ) from None
         except BaseException:
             self.close()
             raise

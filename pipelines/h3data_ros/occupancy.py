@@ -21,6 +21,8 @@ CELL_M = 0.05
 UNSEEN_M = 0.25
 """Cells farther than this behind the outline of the floor are unknown, as in the map of a robot that has never seen them."""
 CELLS_MAX = 40_000_000
+FINEST_M, COARSEST_M, LONGEST_M, FARTHEST_M = 0.001, 1.0, 1e3, 1e5
+"""Least and greatest cell, greatest side, and greatest coordinate of the origin, of what is taken for a map [m]."""
 """Cells of a map that is read."""
 RECTANGLES_MAX = 100_000
 WALL_M = 2.5
@@ -109,6 +111,13 @@ def scene_of_map(grid: OccupancyMap, name: str) -> Scene:
         FormatError: nothing is free, or the map is too large or too ragged.
     """
     cells = np.asarray(grid.cells)
+    is_near = np.abs(grid.origin).max() <= FARTHEST_M and max(cells.shape) * grid.resolution <= LONGEST_M
+    if not (FINEST_M <= grid.resolution <= COARSEST_M and is_near):
+        raise FormatError(
+            f"Expected a map of at most {LONGEST_M:g} m with cells from {FINEST_M:g} to {COARSEST_M:g} m, got cells of "
+            f"{grid.resolution:g} m from [{grid.origin[0]:g}, {grid.origin[1]:g}]: {name}",
+            code="H3-ROS-061",
+        )
     if cells.size > CELLS_MAX:
         raise FormatError(
             f"The map has {cells.shape[1]} x {cells.shape[0]} cells, more than {CELLS_MAX // 10**6} million. Hint: crop it, or "

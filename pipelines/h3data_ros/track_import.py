@@ -54,6 +54,8 @@ def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recor
         told.warnings.append(f"bodies that are no people are left out: {', '.join(table.left_out[:6])}")
     seconds = _seconds(table, tracks, path)
     unit = tracks.unit or table.unit
+    if unit not in UNITS:
+        raise InputError(f"--unit is one of {', '.join(UNITS)}, got {unit!r}.", code="H3-ROS-062")
     told.facts |= {"unit": unit} | ({"frames_per_s": tracks.rate} if tracks.rate else {})
     xy = table.xy * UNITS[unit]
     found = []

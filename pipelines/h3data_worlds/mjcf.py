@@ -50,6 +50,11 @@ MAX_SIDE = 8192
 """Largest number of rows or columns of pictures and height fields that the file itself makes."""
 FOLDERS_UP = 2
 """Largest number of folders above a model in which its files may lie."""
+FARTHEST_M = 1e4
+"""Largest number of a place or size [m]."""
+_SIDES = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
+_RUNNING = {"memory", "nstack", "njmax", "nconmax"}
+"""Memory of a running simulation, which is never reserved here."""
 _MAKERS = ("replicate", "composite", "flexcomp", "plugin")
 _FORMAT = 2
 _DRAWN_GROUPS = 3
@@ -79,6 +84,12 @@ def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
         raise FormatError(
             f"MuJoCo cannot compile this MJCF file: {said[:300]} File: {path}", code="H3-BODY-164"
         ) from error
+    for name in ("body_pos", "jnt_pos", "geom_pos", "geom_size", "mesh_vert"):
+        if not (np.abs(getattr(model, name)) <= FARTHEST_M).all():
+            raise FormatError(
+                f"Expected a robot whose places and sizes are at most {FARTHEST_M:g} m, {name} has others. File: {path}",
+                code="H3-BODY-181",
+            )
     reader = _Reader(mujoco, model, path)
     urdf = reader.robot(files)
     if warn and reader.left_out:
@@ -175,9 +186,11 @@ class _Scan:
             )
         if element.tag == "mesh" and element.get("builtin"):
             raise FormatError(f"Meshes that MuJoCo makes itself are not read. File: {path}", code="H3-BODY-169")
-        for name in ("width", "height", "nrow", "ncol"):
-            if element.tag in ("texture", "hfield") and (text := element.get(name)) is not None:
-                side = int(text) if re.fullmatch(r"\s*\d{1,9}\s*", text) else MAX_SIDE + 1
+        # ``size`` reserves memory, by numbers of things that the file need not have
+        asked = set(element.attrib) - _RUNNING if element.tag == "size" else _SIDES.get(element.tag, ())
+        for name in asked:
+            if (text := element.get(name)) is not None:
+                side = int(text) if re.fullmatch(r"\s*-?\d{1,9}\s*", text) else MAX_SIDE + 1
                 if side > MAX_SIDE:
                     raise FormatError(
                         f"Expected a {element.tag} of at most {MAX_SIDE} {name}, got {text[:20]!r}. File: {path}",

@@ -2,7 +2,7 @@
 
 A house names assets of Unity, whose meshes are not in it. Boxes have the sizes that an asset database gives: any JSON file
 called ``asset-database.json`` beside the house or in an asset folder, with ``assetId`` and ``boundingBox`` of each asset.
-Fields are those of schema 1.0.0: ``rooms``, ``walls``, ``doors``, ``windows``, ``objects``.
+Fields are those of the schema `SCHEMA`: ``rooms``, ``walls``, ``doors``, ``windows``, ``objects``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ WALL_M = 0.06
 """Thickness of walls, which have none in the file [m]."""
 FLAT_M = 0.03
 """Height below which nothing collides with things, such as rugs [m]."""
-PLACE_MAX_M = 1e4
+SCHEMA = "1.0.0"
+PLACE_MAX_M = 300.0
 """Greatest coordinate that is taken for one of a house [m]."""
 _FLOOR, _WALL, _THING = (205, 203, 198), (232, 230, 226), (176, 160, 140)
 _UPRIGHT = np.array([0, 0, 0, 0, 0, 0, 1.0])
@@ -78,6 +79,7 @@ class _House(msgspec.Struct):
     objects: list[_Thing]
     doors: list[_Opening] = []
     windows: list[_Opening] = []
+    metadata: Any = None
 
 
 def read_house(file: SceneFile) -> Scene:
@@ -104,8 +106,15 @@ def read_house(file: SceneFile) -> Scene:
             f"or into a folder of --assets, or leave them out with --allow-missing: {path}",
             code="H3-WORLD-021",
         )
+    doubts = _doubts(house)
+    if file.strict and doubts:
+        raise SceneError(
+            f"Not all of the house is read as it is meant: {'; '.join(doubts)}. File: {path}", code="H3-WORLD-029"
+        )
     if unknown:
-        say(f"{path.name}: {len(unknown)} assets without a size are left out: {', '.join(unknown[:4])}")
+        doubts.append(f"{len(unknown)} assets without a size are left out: {', '.join(unknown[:4])}")
+    if doubts:
+        say(f"{path.name}: {'; '.join(doubts)}")
     rooms = tuple(
         Room(name=_name(room.id), category=_words(room.room_type), rectangles=_rectangles(_plan(room.floor_polygon)))
         for room in house.rooms
@@ -133,6 +142,20 @@ def read_house(file: SceneFile) -> Scene:
         raise FormatError(f"Two walls or objects of the house have one id: {path}", code="H3-WORLD-023")
     source = {"kind": "procthor", "name": path.stem}
     return Scene(name=path.stem, assets=assets, instances=tuple(instances), rooms=rooms, source=source)
+
+
+def _doubts(house: _House) -> list[str]:
+    """Parts of a house that are not read as they are meant, in words."""
+    schema = house.metadata.get("schema", SCHEMA) if isinstance(house.metadata, dict) else SCHEMA
+    doubts = [] if schema == SCHEMA else [f"its schema is {str(schema)[:20]!r} and read as {SCHEMA}"]
+    walls = {wall.id for wall in house.walls if len(wall.polygon) >= 3}
+    if lost := sum(one.wall0 not in walls or len(one.hole_polygon) < 2 for one in (*house.doors, *house.windows)):
+        doubts.append(f"{lost} doors and windows without a wall or a hole are left out")
+    plans = [(room.id, _plan(room.floor_polygon)) for room in house.rooms]
+    sides = [(name, np.abs(np.roll(plan, -1, axis=0) - plan).min(axis=1)) for name, plan in plans]
+    if slanting := [name for name, across in sides if (across > 1e-3).any()]:
+        doubts.append(f"rooms with slanting sides become rectangles: {', '.join(slanting[:4])}")
+    return doubts
 
 
 def _decoded(path: Path, kind: Any) -> Any:

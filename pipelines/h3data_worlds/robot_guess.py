@@ -32,6 +32,8 @@ BASE_TOP_M = 0.35
 """Height below which the lowest point of a part lies that belongs to the base's footprint [m]."""
 TIGHT = 1.25
 """Discs of a row are wide enough at this many times half the width of the base; more discs would be hardly narrower."""
+MOST_SEGMENTS = 10_000
+"""Number of pieces into which the outline of a base is cut at most, as for that of a ground plane."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
 WIDEST_M = 0.36
@@ -110,7 +112,8 @@ def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) 
         return [0.0], LEAST_RADIUS_M
     import shapely
 
-    outline = np.array(shapely.segmentize(shapely.MultiPoint(np.concatenate(low)).convex_hull.boundary, 0.02).coords)
+    hull = shapely.MultiPoint(np.concatenate(low)).convex_hull.boundary
+    outline = np.array(shapely.segmentize(hull, max(0.02, hull.length / MOST_SEGMENTS)).coords)
     if len(outline) < 3:
         return [0.0], LEAST_RADIUS_M
     back, front = outline[:, 0].min(), outline[:, 0].max()

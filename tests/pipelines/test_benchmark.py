@@ -369,6 +369,47 @@ def test_missing_files_are_found(short_nav: tuple[Path, Path], result: Path, los
     assert found.recordings == 0
 
 
+def swap(folder: Path) -> None:
+    """Exchanges the first two entries of a folder."""
+    one, other = sorted(folder.iterdir())[:2]
+    aside = folder / "aside"
+    one.rename(aside)
+    other.rename(one)
+    aside.rename(other)
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        (["episodes"], "measured again"),
+        (["recordings"], "it is another episode than the benchmark's"),
+        (["episodes", "recordings"], "it is another episode than the benchmark's"),
+    ],
+)
+def test_swapped_files_are_found(short_nav: tuple[Path, Path], result: Path, parts: list[str], words: str) -> None:
+    for part in parts:
+        swap(result / part)
+    renew_digests(result)
+    assert words in faults(result, short_nav[0])
+
+
+def test_files_of_no_episode_are_found(short_nav: tuple[Path, Path], result: Path) -> None:
+    shutil.copy(result / "episodes" / "000001.json", result / "episodes" / "000002.json")
+    renew_digests(result)
+    assert "1 file of no episode, or links, the first is episodes/000002.json" in faults(result, short_nav[0])
+    (result / "episodes" / "000002.json").unlink()
+    (result / "episodes" / "000001.json").rename(result / "elsewhere.json")
+    (result / "episodes" / "000001.json").symlink_to(result / "elsewhere.json")
+    renew_digests(result)
+    assert "1 file of no episode, or links, the first is episodes/000001.json" in faults(result, short_nav[0])
+
+
+def test_endless_brackets_are_no_result(short_nav: tuple[Path, Path], result: Path) -> None:
+    (result / MANIFEST).write_text('{"format": 1, "x": ' + "[" * 100_000)
+    with pytest.raises(FormatError, match="H3-OPTION-093"):
+        verify_result(result, benchmark=str(short_nav[0]))
+
+
 def test_results_of_two_benchmarks_make_no_table(
     short_nav: tuple[Path, Path], result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -297,6 +297,20 @@ def test_a_server_that_sleeps_or_trickles_is_late_and_never_used_again(tmp_path:
         thread.join()
 
 
+def test_a_server_that_sends_more_than_it_was_asked_is_refused() -> None:
+    """Otherwise every later action would be that of an earlier step."""
+
+    def pushes(connection: Any) -> None:
+        connection.send(OPENPI.pack({}))
+        while True:
+            answer = OPENPI.pack(followed(OPENPI.unpack(bytes(connection.recv()))))
+            connection.send(answer)
+            connection.send(answer)
+
+    with websocket_server(pushes) as address, pytest.raises(PolicyServerError, match="H3-REMOTE-062"):
+        played(address)
+
+
 def test_a_server_that_goes_is_said(tmp_path: Path) -> None:
     def goes(connection: Any) -> None:
         connection.send(OPENPI.pack({}))
@@ -364,11 +378,16 @@ def test_an_address_with_a_user_is_refused_and_not_repeated(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["ws://", "ws://h:x", "ws://h:99999", "ws://h?key=1", "zmq://h#a", "ws://h?adapter=none"]
+    "text", ["ws://", "ws://h:x", "ws://h:99999", "ws://h?key=1", "zmq://h#a", "ws://h?adapter=none", "ws://a..b:1"]
 )
 def test_an_address_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError):
         played(text)
+
+
+def test_an_address_of_all_machines_is_no_server() -> None:
+    with pytest.raises(PolicyServerError, match="H3-REMOTE-063"):
+        played("zmq://*:5555")
 
 
 def test_another_scheme_is_unknown() -> None:

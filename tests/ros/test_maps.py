@@ -152,6 +152,13 @@ def test_a_damaged_map_is_refused(name: str, tmp_path: Path, monkeypatch: pytest
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("resolution", "x"), [(1e9, 0.0), (1e-9, 0.0), (0.05, 1e12), (float("nan"), 0.0)])
+def test_maps_that_are_no_building_are_refused(resolution: float, x: float) -> None:
+    grid = OccupancyMap(cells=np.full((40, 40), FREE, np.int8), resolution=resolution, origin=(x, 0.0))
+    with pytest.raises(H3DataError, match="H3-ROS-061"):
+        scene_of_map(grid, "m")
+
+
 def test_maps_without_a_floor_or_with_too_much_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     cells = np.full((40, 40), OCCUPIED, np.int8)
     grid = OccupancyMap(cells=cells, resolution=0.05, origin=(0.0, 0.0))

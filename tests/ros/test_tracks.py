@@ -158,6 +158,7 @@ HOSTILE: dict[str, tuple[str, ImportRequest, str]] = {
         "t,id,x,y\n" + "".join(f"{k / 10},{p},{100 * k},0\n" for k in range(20) for p in "abc"), ImportRequest(), "H3-ROS-010"
     ),
     "all NaN": ("t,id,x,y\n0,a,nan,nan\n1,a,nan,nan\n", ImportRequest(), "H3-ROS-011"),
+    "furlongs": (csv(), ImportRequest(unit="furlong"), "H3-ROS-062"),
     "a goal in words": (csv(), ImportRequest(goal="kitchen"), "H3-ROS-009"),
 }  # fmt: skip
 

@@ -197,6 +197,10 @@ def test_large_meshes_are_thinned_once(tmp_path: Path, monkeypatch: pytest.Monke
         model('<body><joint type="hinge" axis="0 0 0"/><geom size="1"/></body>'),
         model('<body><joint range="nan inf"/><geom size="-1"/></body>'),
         model(BODY.format(""), beside="<option gravity='a'/>"),
+        model(BODY.format(""), beside='<size nuserdata="2000000000"/>'),
+        model(BODY.format('<body name="b" pos="inf 0 0"><joint/><geom size="0.1"/></body>')),
+        model(BODY.format('<body name="b" pos="1e300 0 0"><joint/><geom size="0.1"/></body>')),
+        model('<body name="a"><joint/><geom size="1000000"/></body>'),
     ],
 )  # fmt: skip
 def test_what_is_no_robot_is_refused(tmp_path: Path, text: str | bytes) -> None:

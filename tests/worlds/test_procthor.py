@@ -161,3 +161,35 @@ def test_damaged_houses_are_refused(tmp_path: Path, change: dict[str, Any], code
         h3data.load_scene(stored(tmp_path, house() | change))
     assert refused.value.code.startswith("H3-WORLD-")
     assert code in ("", refused.value.code)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"metadata": {"schema": "9.0.0"}}, "its schema is '9.0.0'"),
+        ({"doors": [house()["doors"][0] | {"wall0": "wall|none"}]}, "1 doors and windows without a wall"),
+        ({"windows": [house()["windows"][0] | {"holePolygon": []}]}, "1 doors and windows without a wall"),
+        (
+            {
+                "rooms": [
+                    house()["rooms"][0]
+                    | {"floorPolygon": [point(0, 0, 0), point(0, 0, 4), point(4, 0, 4), point(5, 0, 0)]}
+                ]
+            },
+            "slanting sides become rectangles: room|1",
+        ),
+    ],
+)
+def test_what_is_not_read_as_meant_is_told_and_an_error_when_strict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], words: str
+) -> None:
+    path = str(stored(tmp_path, house() | change))
+    assert read_house(SceneFile(path=path)).rooms
+    assert words in capsys.readouterr().err
+    with pytest.raises(SceneError, match="H3-WORLD-029"):
+        read_house(SceneFile(path=path, strict=True))
+
+
+def test_a_whole_house_is_read_without_a_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    read_house(SceneFile(path=str(stored(tmp_path, house())), strict=True))
+    assert not capsys.readouterr().err

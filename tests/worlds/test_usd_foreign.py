@@ -130,6 +130,21 @@ def test_copies_with_other_labels_are_other_things_and_holes_are_open(tmp_path: 
     assert {len(a.mesh.faces) for a in scene.assets.values()} == {8}
 
 
+def test_instances_of_instances_have_names_of_their_own_and_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten lines may stand for a thousand things, and thirty for a billion."""
+    classes = ['class Xform "P0" {\n def Cube "Body" {}\n}']
+    for k in range(1, 5):
+        two = "\n".join(f'def Xform "{name}" (\ninstanceable = true\nreferences = </P{k - 1}>\n) {{}}' for name in "xy")
+        classes.append(f'class Xform "P{k}" {{\n{two}\n}}')
+    body = "\n".join([*classes, 'def Xform "a" (\ninstanceable = true\nreferences = </P4>\n) {}'])
+    scene, _ = read_usd(written(tmp_path / "a.usda", body))
+    assert {i.name for i in scene.instances} == {f"{k}{n}" for k in "xy" for n in ("", *(f"_{m}" for m in range(2, 9)))}
+    monkeypatch.setattr("h3data_worlds.usd.things.MAX_COPIES", 10)
+    assert code_of(written(tmp_path / "b.usda", body)) == "H3-WORLD-014"
+
+
 @pytest.mark.parametrize(
     ("name", "data"),
     [

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from h3data.builtin import builtin_root
-from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.errors import FormatError, InputError, suggest
 from h3data.plugins import names_from_data
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.jobs.evaluations import episode_uid
@@ -114,7 +114,7 @@ class Benchmark:
         try:
             listed = json.loads(path.read_text(encoding="utf-8"))["episodes"]
             uids = [str(entry["uid"]) for entry in listed]
-        except (OSError, ValueError, KeyError, TypeError) as fault:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
             raise FormatError(
                 f"Expected the episodes of {self.label}, got {fault!r}. File: {path}", code="H3-OPTION-086"
             ) from None
@@ -158,8 +158,7 @@ def find_benchmark(name: str) -> Benchmark:
     if (Path(name) / DEFINITION).is_file():
         return read_benchmark(Path(name))
     raise InputError(
-        f"There is no benchmark {name!r}{did_you_mean(name, labels)}. Expected one of {', '.join(labels)}, or a folder with "
-        f"{DEFINITION}.",
+        f"There is no benchmark {name!r}.{suggest(name, labels, more=f', or a folder with {DEFINITION}')}",
         code="H3-OPTION-097",
     )
 
@@ -175,7 +174,7 @@ def read_benchmark(folder: Path) -> Benchmark:
     try:
         text = path.read_bytes()
         file = msgspec.toml.decode(text, type=BenchmarkFile)
-    except (OSError, msgspec.DecodeError, ValueError) as fault:
+    except (OSError, msgspec.DecodeError, ValueError, RecursionError) as fault:
         raise FormatError(f"Expected a benchmark, got: {fault} File: {path}", code="H3-OPTION-085") from None
     if file.format != FORMAT:
         raise FormatError(

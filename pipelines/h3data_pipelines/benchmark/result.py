@@ -195,7 +195,7 @@ def read_result(folder: Path) -> BenchmarkResult:
         )
     try:
         result = msgspec.json.decode(path.read_bytes(), type=BenchmarkResult)
-    except (msgspec.DecodeError, OSError) as fault:
+    except (msgspec.DecodeError, OSError, RecursionError) as fault:
         raise FormatError(
             f"Expected the result of a benchmark, got: {fault} File: {path}", code="H3-OPTION-093"
         ) from None

@@ -172,6 +172,12 @@ def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) ->
         faults.append(f"{MANIFEST}: {counted(len(missing), 'file')} missing, the first is {missing[0]}.")
     if added := sorted(set(there) - set(result.files)):
         faults.append(f"{MANIFEST}: {counted(len(added), 'file')} not listed, the first is {added[0]}.")
+    known = {f"{index:06d}" for index in range(benchmark.file.episodes)}
+    odd = [
+        name for name in there if name.split("/")[1].removesuffix(".json") not in known or (folder / name).is_symlink()
+    ]
+    if odd:
+        faults.append(f"{counted(len(odd), 'file')} of no episode, or links, the first is {odd[0]}.")
     found = checksums_of(folder, [name for name in there if name in result.files])
     changed = [name for name, digest in found.items() if digest != result.files[name]]
     return [*faults, *(f"{name}: the file is not the one that {MANIFEST} lists." for name in changed)]

@@ -70,7 +70,7 @@ class Demo:
     steps: int = 600
     """Largest number of steps of the episode, at 30 steps per second."""
     human_speed: float = 1.2
-    """Walking speed of the person [m/s]. (The paper's task, and `h3data generate`, use 2.5.)"""
+    """Walking speed of the person [m/s]. (`h3data generate` uses 1.3, the paper 2.5.)"""
     size: str = ""
     """Size of third_person.mp4 such as 1280x720 (default: 480x360, two thirds of the time that 640x480 takes)."""
     light: LightOption = "baked"

@@ -166,8 +166,8 @@ def _report(result: ImportResult) -> Outcome:
                 "placeholders. Hint: --assets DIR or H3DATA_ASSETS"
             )
         if row["synthesised"]:
-            made_up = "; ".join(f"{name}: {', '.join(what)}" for name, what in row["synthesised"].items())
-            lines.append(f"         not in the file, made up: {made_up}")
+            synthesised = "; ".join(f"{name}: {', '.join(what)}" for name, what in row["synthesised"].items())
+            lines.append(f"         not in the file, synthesised: {synthesised}")
         lines += [f"         warning: {w}" for w in row["warnings"]]
     counts = {status: result.count(status) for status in ("imported", "kept", "skipped", "failed")}
     if len(rows) > 1:

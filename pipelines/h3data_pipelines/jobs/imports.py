@@ -291,6 +291,7 @@ def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
             )
         else:
             raise InputError(
-                f"There is no such file or folder. Expected a gfx-replay or a HITL log: {path}", code="H3-JOB-042"
+                f"There is no such file or folder. Expected one of those in `h3data docs import`: {path}",
+                code="H3-JOB-042",
             )
     return jobs

@@ -8,7 +8,7 @@ that no joint holds can be moved. What h3data wrote comes back with rooms, recep
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -92,6 +92,7 @@ class _StageReader:
         self.finder = ThingFinder(opened)
         self.assets: dict[str, Asset] = {}
         self._asset_of: dict[Any, str] = {}
+        self._asset_names = _Names()
         self.changed = False
         """True if a stage of ours no longer has all that we wrote."""
 
@@ -144,7 +145,7 @@ class _StageReader:
         out: list[Instance] = []
         names: dict[str, str] = {}
         members: dict[str, list[str]] = {}
-        used: set[str] = set()
+        used = _Names()
         jointed = self._jointed()
         for path, thing in self.finder.things.items():
             if thing.body:
@@ -153,17 +154,17 @@ class _StageReader:
             if not thing.gprims and record is None:
                 continue
             try:
-                made = self._ours(thing, record) if record else self._foreign(thing, jointed, used)
+                made = self._ours(thing, record) if record else self._foreign(thing, jointed)
             except (KeyError, TypeError, ValueError, AttributeError) as fault:
                 raise FormatError(
                     f"Damaged record of h3data at {path} ({fault}). File: {self.opened.path}", code="H3-WORLD-005"
                 ) from fault
             if made is None:
                 continue
-            if made.name in used:
-                made = replace(made, name=_free_name(made.name, used))
-                self.changed = True
-            used.add(made.name)
+            name = used.take(made.name)
+            if name != made.name:
+                made = replace(made, name=name)
+                self.changed = self.changed or bool(record)
             names[path] = made.name
             out.append(made)
             if thing.body:
@@ -218,7 +219,7 @@ class _StageReader:
         self.assets[key] = asset
         return key
 
-    def _foreign(self, thing: Thing, jointed: set[str], used: set[str]) -> Instance | None:
+    def _foreign(self, thing: Thing, jointed: set[str]) -> Instance | None:
         matrix = self.opened.in_metres(thing.world)
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
             self.surfaces.notes[f"{thing.name} has a place that is not finite, or no size"] = None
@@ -238,7 +239,7 @@ class _StageReader:
             if mesh is not None and not shapes and not thing.loose:
                 shapes = hulls_of(mesh.vertices.astype(np.float64), mesh.faces)
             category = _category(thing)
-            name = _free_name(_plain_name(thing.prim.GetName()), self.assets)
+            name = self._asset_names.take(_plain_name(thing.prim.GetName()), beside=self.assets)
             self.assets[name] = Asset(
                 name=name, mesh=_EMPTY if mesh is None else mesh, category=category, shapes=tuple(shapes)
             )
@@ -246,7 +247,7 @@ class _StageReader:
         asset = self._asset_of[key]
         category = self.assets[asset].category
         return Instance(
-            name=_free_name(_plain_name(thing.name.rpartition("/")[2]), used),
+            name=_plain_name(thing.name.rpartition("/")[2]),
             asset=asset,
             pose=np.asarray(pose_from_matrix(frame), np.float64),
             semantic_id=KINDS[category].semantic_id if category in KINDS else 0,
@@ -387,10 +388,18 @@ def _plain_name(text: str) -> str:
     return text.replace("|", "_") or "thing"
 
 
-def _free_name(name: str, used: Any) -> str:
-    """The name, with a number behind it if others have it."""
-    number, made = 1, name
-    while made in used:
-        number += 1
-        made = f"{name}_{number}"
-    return made
+class _Names:
+    """Names that are taken: thousands of prims may have the same one."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, int] = {}
+
+    def take(self, name: str, beside: Container[str] = ()) -> str:
+        """The name, with a number behind it if others have it, also among those in ``beside``."""
+        number, made = self._last.get(name, 1), name
+        while made in self._last or made in beside:
+            number += 1
+            made = f"{name}_{number}"
+        self._last[name] = number
+        self._last.setdefault(made, 1)
+        return made

@@ -20,7 +20,7 @@ KEY = "h3data"
 MAX_PRIMS = 2_000_000
 """Limit of prims of a stage, those of instances counted each time."""
 MAX_COPIES = 200_000
-"""Limit of copies of all point instancers of a stage."""
+"""Limit of things in a stage, the copies of point instancers and instances of instances among them."""
 _SHOWN = ("default", "render")
 
 
@@ -179,6 +179,7 @@ class ThingFinder:
         return matrix_of(self._places.GetLocalToWorldTransform(prim))
 
     def _add(self, prim: Any, path: str, body: str, label: str, *, loose: bool = False) -> Thing:
+        self._allow(1)
         shared = str(prim.GetPrototype().GetPath()) if prim.IsInstance() else ""
         made = Thing(prim=prim, name=path, world=self._world(prim), body=body, label=label, shared=shared, loose=loose)
         self.things[path] = made
@@ -191,18 +192,21 @@ class ThingFinder:
         owner = self.things[thing] if thing else self._add(prim, path, body, "", loose=True)
         owner.gprims.append(Gprim(prim=prim, world=self._world(prim), shown=shown, collides=collides))
 
+    def _allow(self, more: int) -> None:
+        """Counts things before they are made; a few nested instances may stand for millions."""
+        self.copies += more
+        if self.copies > MAX_COPIES:
+            raise SceneError(
+                f"The stage has more than {MAX_COPIES:,} things and copies, which is the limit. File: {self.opened.path}",
+                code="H3-WORLD-014",
+            )
+
     def _copies(self, prim: Any, body: str, visible: bool) -> None:
         """The copies that a point instancer makes of its prototypes: things of their own."""
         instancer = self._instancer(prim)
         which = np.asarray(instancer.GetProtoIndicesAttr().Get(self._time) or (), np.int64)
         prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
-        self.copies += len(which)
-        if self.copies > MAX_COPIES:
-            raise SceneError(
-                f"The stage has more than {MAX_COPIES:,} copies in point instancers, which is the limit. "
-                f"File: {self.opened.path}",
-                code="H3-WORLD-014",
-            )
+        self._allow(len(which))
         placed = instancer.ComputeInstanceTransformsAtTime(self._time, self._time, instancer.IncludeProtoXform)
         mask = instancer.ComputeMaskAtTime(self._time)
         if not visible:
