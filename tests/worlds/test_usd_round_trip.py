@@ -97,7 +97,7 @@ def test_changes_in_another_program_are_kept(tmp_path: Path) -> None:
     scene = h3data.load_scene("small-open:3")
     write_usd(scene, tmp_path / "home.usda")
     stage = Usd.Stage.Open(str(tmp_path / "home.usda"))
-    moved, gone = [i for i in scene.instances if i.motion == "kinematic"][:2]
+    moved, gone, mirrored = [i for i in scene.instances if i.motion == "kinematic"][:3]
     for prim in list(stage.Traverse()):
         if prim.IsInstance() and prim.GetName() == moved.name:
             prim.GetAttribute("xformOp:translate").Set(
@@ -106,12 +106,15 @@ def test_changes_in_another_program_are_kept(tmp_path: Path) -> None:
             )
         elif prim.IsInstance() and prim.GetName() == gone.name:
             prim.SetActive(False)
+        elif prim.IsInstance() and prim.GetName() == mirrored.name:
+            UsdGeom.Xformable(prim).AddScaleOp(opSuffix="mirror").Set((-1, 1, 1))
     joint = next(prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.RevoluteJoint))
     joint.GetAttribute("physics:upperLimit").Set(45.0)
     stage.Save()
     back = h3data.load_scene(tmp_path / "home.usda")
     named = {i.name: i for i in back.instances}
     assert gone.name not in named
+    assert mirrored.name in named
     np.testing.assert_allclose(named[moved.name].pose[:3] - moved.pose[:3], [0.5, 0, 0], atol=1e-9)
     assert back.source["kind"] == "usd"  # no longer the home that the generator makes
     assert any(abs(p.joint.upper - np.pi / 4) < 1e-6 for a in back.articulations for p in a.parts)

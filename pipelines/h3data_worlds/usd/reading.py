@@ -192,7 +192,7 @@ class _StageReader:
         turn[:3, :3] /= scale
         if np.abs(turn[:3, :3].T @ turn[:3, :3] - np.eye(3)).max() > 1e-4 or np.linalg.det(turn[:3, :3]) < 0:
             self.changed = True
-            return self._foreign(thing, set(), set())
+            return self._foreign(thing, set())
         made = replace(kept, asset=key, pose=pose_from_matrix(turn), scale=scale)
         same = np.allclose(made.pose[:3], kept.pose[:3], atol=_NEAR) and np.allclose(scale, kept.scale, atol=_NEAR)
         if same and 1 - abs(made.pose[3:] @ kept.pose[3:]) < _NEAR**2:
