@@ -131,7 +131,7 @@ def test_planners_are_not_for_named_observations_and_wanderers_for_nobody() -> N
         played(address)
     with (
         served("wander", task="wander") as address,
-        pytest.raises(PolicyServerError, match=r"(?s)heeds everybody.*H3-REMOTE-021"),
+        pytest.raises(PolicyServerError, match=r"(?s)gives way to everybody.*H3-REMOTE-021"),
     ):
         h3data.simulate("wander", "small:3", agents={"robot": address}, max_steps=3)
 
