@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 from h3data.errors import InputError, suggest
+from h3data.plugins import Registry
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.motion.randomness import generator
 
@@ -25,11 +27,17 @@ class Role(NamedTuple):
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
-    """Name of a routine, one of `ROUTINES`; empty if the person walks from goal to goal."""
+    """Name of a routine, of `ROUTINES` or a package; empty if the person walks from goal to goal."""
 
 
 ALONE = Role()
 """Role of somebody without company, who treats robots as people."""
+
+
+@cache
+def plugin_routines() -> Registry[Any]:
+    """Return the routines of packages: functions ``(episode, number)`` that return an agent's `Routine`."""
+    return Registry("h3data.routines", {}, what="routine")
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
@@ -47,12 +55,12 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             )
         elif word in REACTIONS:
             role = role._replace(reaction=word)
-        elif word in ROUTINES:
+        elif word in ROUTINES or word in plugin_routines().names():
             role = role._replace(routine=word)
         elif re.fullmatch(r"(walk|talk)\d{0,4}", word):
             role = role._replace(group=word)
         else:
-            known = (*REACTIONS, ANY, *ROUTINES, "walk1", "talk1")
+            known = (*REACTIONS, ANY, *ROUTINES, *plugin_routines().names(), "walk1", "talk1")
             raise InputError(
                 f"Nobody in a crowd is {word!r}.{suggest(word, known)} Hint: people of a group have the same word, such as "
                 "orca+walk1,orca+walk1.",

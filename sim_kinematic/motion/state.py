@@ -97,6 +97,8 @@ class HumanState(_Arrays):
     seat: NDArray[np.float64]
     """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it,
     shape [W, 2]."""
+    hands: NDArray[np.float64]
+    """Where the hands are led (`h3data.bodies.people.handling.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
@@ -105,6 +107,7 @@ class HumanState(_Arrays):
             xz=np.zeros((worlds, 2)),
             arms=np.zeros((worlds, 2)),
             seat=np.zeros((worlds, 2)),
+            hands=np.zeros((worlds, 4, 4)),
             **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")},
         )
 

@@ -16,8 +16,9 @@ from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.roles import check_groups, read_role
-from sim_kinematic.crowd.routines import Routine, make_routine
+from sim_kinematic.crowd.errands import HandWork, Thing
+from sim_kinematic.crowd.roles import check_groups, plugin_routines, read_role
+from sim_kinematic.crowd.routines import DAYS, Routine, make_routine
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -45,9 +46,11 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
 def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: str = "") -> Policy:
     role = read_role(words, episode.seed, number)
     routine = None
-    if role.routine:
+    if role.routine in DAYS:
         stops = make_routine(episode.scene, episode.seed, number, role.routine)
         routine = Routine(episode.scene, episode.free, stops, episode.roster[number].body)
+    elif role.routine:
+        routine = plugin_routines().get(role.routine)(episode, number)
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 
@@ -91,6 +94,20 @@ class AssignedPolicy(NamedTuple):
     def takes_agent_view(self) -> bool:
         """Return whether the policy is shown an `AgentView` in every task, also where others get a view of their own."""
         return bool(getattr(self.policy, "takes_agent_view", False))
+
+
+def works(policy: AssignedPolicy) -> HandWork | None:
+    """Return what the hands of an agent do; None: they handle nothing."""
+    return getattr(policy.policy, "hands", None)
+
+
+def handled_things(policies: Sequence[AssignedPolicy], roster: Sequence[Any]) -> list[Thing]:
+    """Return the things that people bring along, in the order of the agents, each with its owner's name before its own."""
+    return [
+        thing._replace(name=f"{member.name}_{thing.name}")
+        for member, policy in zip(roster, policies, strict=True)
+        for thing in (works(policy) or HandWork()).things
+    ]
 
 
 def is_address(name: str) -> bool:

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array
 from h3data.recording import Event
+from h3data.recording.records import JOINTS
+from h3data.scene.articulation import joints_of
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.policies.assignment import handled_things, works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
@@ -111,6 +114,13 @@ class MotionTeam(Team):
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
         self._moment = None
+        # only worlds of one episode have doors and things (`WorldRollout.of`)
+        state = self.play.world.state
+        if state.joint_pos.shape[1]:
+            state.joint_pos[:] = joints_of(self.play.episode.scene).rest
+        if state.object_pose.shape[1]:
+            things = handled_things(self.play.policies, self.play.world.roster)
+            state.object_pose[:] = np.array([thing.pose for thing in things])
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Move all agents of all worlds at once."""
@@ -236,7 +246,11 @@ class MotionTeam(Team):
                 # a walk begins anew where the person set off, so the clip's phase counts from there
                 since = distance - own.set_off.item(0)
                 numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), *own.seat[0].tolist(), code)
-        return numbers
+        for policy, own in zip(self.play.policies, world.state.agents, strict=False):
+            if works(policy) is not None:
+                assert isinstance(own, HumanState)
+                numbers += own.hands[0].ravel().tolist()
+        return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return columns of robots that drive and of people in motion clips."""
@@ -261,6 +275,15 @@ class MotionTeam(Team):
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
             if self.play.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
+        for k, policy in enumerate(self.play.policies):
+            if works(policy) is not None:
+                result[f"agent_{k}.motion_hands"] = numbers[:, at : at + 16].reshape(-1, 4, 4).astype(np.float32)
+                at += 16
+        joints = self.play.world.state.joint_pos.shape[1]
+        if joints:
+            result[JOINTS] = numbers[:, at : at + joints].astype(np.float32)
+        if numbers.shape[1] > at + joints:
+            result["object_pose"] = numbers[:, at + joints :].reshape(steps, -1, 7).astype(np.float32)
         return result, places, np.any(contact, axis=0) if contact else None
 
     def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:

@@ -9,15 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.geometry import Array
+from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
 from h3data.scene import FreeSpace
+from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.crowd.crowd import NO_DISCS, VERSION, Crowd, CrowdModel, Discs, robot_discs
-from sim_kinematic.crowd.errands import Guide
+from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
-from sim_kinematic.crowd.seating import SeatPlace
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
 
@@ -36,6 +37,8 @@ class CrowdMember:
     """Seed of the episode."""
     version: int = VERSION
     """Version of the rules by which the crowd decides."""
+    hands: HandWork | None = None
+    """What the person's hands do; None: they handle nothing."""
 
 
 class Moment(NamedTuple):
@@ -71,8 +74,8 @@ class Crowds:
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
-        self._places: dict[Any, SeatPlace] = {}
-        """Seats that people have."""
+        self._places: dict[Any, Station] = {}
+        """Stations that people have."""
         self.new_events: list[Event] = []
         """Reactions to robots and activities that people of the crowds began in the last step."""
 
@@ -136,3 +139,28 @@ class Crowds:
         seats = self._crowds[model].seats.tolist()
         for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
             self._moved[number] = PoseAction(place, angle, (height, share))
+            if (work := members[number].hands) is not None:
+                self._handle(
+                    number, work, root_pose(self._world.roster[number].body, place, angle, members[number].free)
+                )
+
+    def _handle(self, number: int, work: HandWork, root: Array) -> None:
+        """Move hands, doors and things by what a person does whose root is at a pose [7] after this step."""
+        state, w = self._world.state, self._row
+        person = state.agents[number]
+        assert isinstance(person, HumanState)
+        person.hands[w] = work.lead
+        # worlds that learners step hold neither doors nor things
+        for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
+            state.joint_pos[w, k] = position
+        work.joints.clear()
+        others = [member for members in self._members.values() for n, member in members.items() if n < number]
+        first = sum(len(member.hands.things) for member in others if member.hands is not None)
+        for k, pose in work.held.items() if state.object_pose.shape[1] else ():
+            state.object_pose[w, first + k] = pose_multiply(root, pose)
+        name = self._world.roster[number].name
+        for kind, thing, detail in work.events:
+            self.new_events.append(
+                Event(step=self._step, agent=number, kind=kind, target=f"{name}_{thing}", detail=detail)
+            )
+        work.events.clear()
