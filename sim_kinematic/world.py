@@ -180,6 +180,8 @@ class World:
         """Height of the floor in each world [m], [W]; of the lowest storey (`heights`)."""
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
+        self.handling: set[int] = set()
+        """Numbers of the people whose hands may be led (`HumanState.hands`)."""
         self._kept: dict[int, Posture] = {}
 
     @cached_property
@@ -430,7 +432,7 @@ class World:
 def _near_pairs(xz, shares, rows, pairs, gates):
     """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
 
-    Gates are wider where one lies, as ``shares`` [W, A] of sitting above 1 say.
+    Gates are wider where one lies or reaches for something, as ``shares`` [W, A] above 1 say.
     """
     near = np.zeros((len(rows), len(pairs)), np.bool_)
     for n in range(len(rows)):
@@ -479,17 +481,21 @@ class _PairContacts:
         for k, own in enumerate(world.state.agents):
             if isinstance(own, HumanState):
                 shares[:, k] = own.seat[:, 1]
+                if k in world.handling:
+                    shares[own.hands[..., 3].any(1), k] = 2.0
         result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
         for p in np.flatnonzero(result.any(0)).tolist():
             contact = self._of[p]
             if contact is None:
                 continue
             (a, b), near = self._pairs[p], np.flatnonzero(result[:, p])
-            at = rows[near]
+            at, person = rows[near], world.state.agents[b]
+            assert isinstance(person, HumanState)
             result[near, p] = contact.touching_many(
                 world.roots(a, at).astype(np.float32),
                 world.roots(b, at).astype(np.float32),
                 *world.posture(b, at),
+                person.hands[at] if b in world.handling else None,
             )
         if self._contacts is not None:
             self._decide(world, rows, result)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.handling import lead_hands
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
@@ -29,7 +30,8 @@ SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 FLOOR_M = 0.02
 """Height up to which agents stand on what lies on the floor, such as a rug [m]."""
 LYING_M = 0.7
-"""Distance by which head or feet of somebody who lies are farther from the root than anything in a clip at most [m]."""
+"""Distance by which head or feet of somebody who lies, or hands of somebody who reaches for a thing, are farther from the root
+than anything in a clip at most [m]."""
 HOMES_KEPT = 64
 """Largest number of homes whose furniture stays in FCL; scene sets have fewer."""
 
@@ -92,15 +94,17 @@ class RobotHumanContact:
         blend: NDArray,
         arms: NDArray | None = None,
         seats: NDArray | None = None,
+        hands: NDArray | None = None,
     ) -> NDArray[np.bool_]:
         """Returns whether robot and person touch in each of N cases, [N].
 
         Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms and seats [N, 2].
-        The people are posed together.
+        The people are posed together. ``hands`` [N, 4, 4] are led as `h3data.bodies.people.handling.lead_hands` takes them.
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
-        # the gate holds for every posture but lying, so people farther away need not be posed
+        # the gate holds for every posture but lying and reaching, so people farther away need not be posed
         wider = 0.0 if seats is None else LYING_M * (seats[:, 1] > 1)
+        wider = wider if hands is None else np.maximum(wider, LYING_M * hands[..., 3].any(1))
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m + wider)
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
@@ -108,6 +112,8 @@ class RobotHumanContact:
         posture = self._human.clip_pose(clip[near], phase[near], blend[near], arms=None if arms is None else arms[near])
         if seats is not None:
             take_seats(self._human, *posture, seats[near])
+        if hands is not None:
+            lead_hands(self._human, *posture, hands[near])
         joints = self._human.joint_matrices(human_base[near], *posture)
         people = shape_frames(self._human, joints, self._person_contact)
         bases = pose_to_matrix(robot_base[near].astype(np.float64))

@@ -43,7 +43,8 @@ def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) ->
     if not fits or (hands[:, :2, 3] > 1).any() or (hands[:, 2:, 3].sum(1) > 1 + 1e-6).any():
         raise InputError(
             f"Expected places and shares of two palms and two postures of reaching for {len(quats)} poses, "
-            f"[{len(quats)}, 4, 4], with shares from 0 to 1, got shape {list(hands.shape)}."
+            f"[{len(quats)}, 4, 4], with shares from 0 to 1, got shape {list(hands.shape)}.",
+            code="H3-BODY-181",
         )
     leans = hands[:, 2:, 3].sum(1)
     rows = np.flatnonzero(leans > 0)

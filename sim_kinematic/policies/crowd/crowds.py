@@ -150,6 +150,7 @@ class Crowds:
         person = state.agents[number]
         assert isinstance(person, HumanState)
         person.hands[w] = work.lead
+        self._world.handling.add(number)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position
