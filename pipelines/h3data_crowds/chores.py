@@ -52,11 +52,12 @@ OVERHANGS_M = (0.03, 0.06, 0.09, 0.11)
 """Distances of which the nearer side of a tray is over the edge of what it stands on by the first from which hands reach it."""
 CARRIED = np.array([0.27, 0.80, 0.15])
 """Place of a hand that carries something, ahead, up and outwards, in heights of the shoulders."""
-TRAY_AHEAD, TRAY_UP = 0.26, 0.79
-"""Place of the middle of a carried tray in heights of the shoulders."""
+TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
+"""Place of the middle of a carried tray in heights of the shoulders: ahead, the first at which the hands are this part of an
+arm's length from the shoulders, as folded arms cannot lead them."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-ROOM_M, LEAF = 0.3, 0.16
+ROOM_M, LEAF = 0.3, 0.18
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
 """Distance of places beside each other, in which a rotation by 1 rad counts as 0.1 m, and of the spots of two people's
@@ -195,7 +196,7 @@ class ChoreRoutine(Routine):
         self.hands: HandWork = HandWork(tuple(things))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
-        self._tray_at = np.array([TRAY_AHEAD, TRAY_UP, 0.0]) * scale
+        self._tray_at = _carried_tray(body, scale)
         self._holds: tuple[int, int] | None = None
         """Number of the thing in the hands, and the hand: left 0, right 1, both 2."""
         self._gone: set[int] = set()
@@ -366,7 +367,7 @@ def chore_at(
             "hands. Hint: choose another thing, or a home whose furniture opens.",
             code="H3-TASK-086",
         )
-    # people arrive within some centimetres: the place with most others around it from which the hands reach too
+    # the place with most others around it from which the hands reach too is in the middle of what they reach
     roots = np.array([chore.root for chore in found])
     apart = np.linalg.norm(roots[:, None, [0, 2]] - roots[None, :, [0, 2]], axis=2)
     apart += 0.2 * np.linalg.norm(roots[:, None, 3:] - roots[None, :, 3:], axis=2)
@@ -412,6 +413,17 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
             code="H3-TASK-089",
         )
     return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+
+
+def _carried_tray(body: Humanoid, scale: float) -> Array:
+    """Place [3] of the middle of a tray that a body carries, in the agent root frame."""
+    frames = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose(np.zeros(1, np.int64), np.zeros(1)))[0]
+    for ahead in TRAY_AHEAD:
+        middle = np.array([ahead, TRAY_UP, 0.0]) * scale
+        gaps = np.linalg.norm(frames[ARMS[:, 0], :3, 3] - _grips(middle, IDENTITY_POSE), axis=1)
+        if all(gap > UNFOLDED * _arm(body, side) for side, gap in enumerate(gaps.tolist())):
+            break
+    return middle
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:

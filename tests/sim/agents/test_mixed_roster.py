@@ -66,7 +66,7 @@ def test_worlds_are_taken_and_put_back(robots: int, people: int, objects: int, w
     for array in state.arrays():
         array[...] = rng.integers(0, 2, array.shape)
     assert len(state.agents) == robots + people
-    assert len(state.arrays()) == 4 * robots + 7 * people + 4
+    assert len(state.arrays()) == 4 * robots + 8 * people + 4
     assert [own.joints.shape for own in state.robots] == [(worlds, j) for j in range(robots)]
     copy, blank = (
         state.copy(),
