@@ -57,7 +57,7 @@ TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
 arm's length from the shoulders, as folded arms cannot lead them."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-ROOM_M, LEAF = 0.3, 0.18
+ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
 """Distance of places beside each other, in which a rotation by 1 rad counts as 0.1 m, and of the spots of two people's

@@ -56,10 +56,7 @@ class Moment(NamedTuple):
     @classmethod
     def of(cls, world: World) -> Moment:
         """Return the places of all agents now and one step ago."""
-        states = world.state.agents, world.before.agents
-        return cls(
-            *(np.stack([getattr(own, name) for own in agents], 1) for agents in states for name in ("xz", "heading"))
-        )
+        return cls(*(world.all_agents(name, before=before) for before in (False, True) for name in ("xz", "heading")))
 
 
 class Crowds:
