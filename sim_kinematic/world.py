@@ -503,12 +503,16 @@ class _PairContacts:
         self._roster, self._pairs = roster, pairs
         self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
-        self._of = [
-            RobotHumanContact(roster[a].body, roster[b].body, person_contact=person_contact)  # type: ignore[arg-type]
-            if (roster[a].kind, roster[b].kind) == ("robot", "human")
-            else None
-            for a, b in pairs
-        ]
+        kinds: dict[tuple[int, int], RobotHumanContact] = {}
+        self._of: list[RobotHumanContact | None] = []
+        for a, b in pairs:
+            both, own = (id(roster[a].body), id(roster[b].body)), None
+            if (roster[a].kind, roster[b].kind) == ("robot", "human"):
+                own = kinds.get(both) or RobotHumanContact(
+                    roster[a].body, roster[b].body, person_contact=person_contact
+                )  # type: ignore[arg-type]
+                kinds[both] = own
+            self._of.append(own)
         reach = [
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
@@ -532,19 +536,28 @@ class _PairContacts:
         for k in world.handling:
             shares[world.state.people[k - robots].hands[..., 3].any(1), k] = 2.0
         result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
+        # people of one body beside robots of one body are posed together
+        asked: dict[RobotHumanContact, list[int]] = {}
         for p in np.flatnonzero(result.any(0)).tolist():
             contact = self._of[p]
-            if contact is None:
-                continue
-            (a, b), near = self._pairs[p], np.flatnonzero(result[:, p])
-            at, person = rows[near], world.state.agents[b]
-            assert isinstance(person, HumanState)
-            result[near, p] = contact.touching_many(
-                world.roots(a, at).astype(np.float32),
-                world.roots(b, at).astype(np.float32),
-                *world.posture(b, at),
-                person.hands[at] if b in world.handling else None,
+            if contact is not None:
+                asked.setdefault(contact, []).append(p)
+        for contact, pairs in asked.items():
+            near = [np.flatnonzero(result[:, p]) for p in pairs]
+            told = []
+            for p, those in zip(pairs, near, strict=True):
+                (a, b), at = self._pairs[p], rows[those]
+                person = world.state.agents[b]
+                assert isinstance(person, HumanState)
+                told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), person.hands[at]))
+            robot, human, *posture, hands = map(np.concatenate, zip(*told, strict=True))
+            touched = contact.touching_many(
+                robot.astype(np.float32), human.astype(np.float32), *posture, hands if world.handling else None
             )
+            for p, those, own in zip(
+                pairs, near, np.split(touched, np.cumsum([len(n) for n in near])[:-1]), strict=True
+            ):
+                result[those, p] = own
         if self._contacts is not None:
             self._decide(world, rows, result)
         return result

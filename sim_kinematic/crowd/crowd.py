@@ -18,7 +18,6 @@ from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
-from sim_kinematic.motion.step import discs_at
 
 CrowdModel = Literal["social_force", "orca"]
 ARRIVED_M = 0.4
@@ -55,12 +54,6 @@ class Discs(NamedTuple):
 
 
 NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-
-
-def robot_discs(xz: Array, headings: Array, offsets: Sequence[float], radius_m: float) -> Discs:
-    """Return discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
-    now, was = discs_at(xz, headings, tuple(offsets), radius_m)
-    return Discs(now[:, :2], was[:, :2], now[:, 2])
 
 
 def _room_on(path: Array, others: Array) -> float:

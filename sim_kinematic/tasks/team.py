@@ -131,7 +131,7 @@ class MotionTeam(Team):
     def view(self, agent: int, world: int) -> AgentView:
         """Return the observation of an agent in one world."""
         play, w = self.play, world
-        episode, (xz, heading, was_xz, was_heading) = play.episodes[w], (values[w] for values in self._where())
+        episode, (xz, heading, was_xz, was_heading) = play.episodes[w], (values[w] for values in self._where()[:4])
         places, was = np.column_stack([xz, heading]), np.column_stack([was_xz, was_heading])
         return AgentView(
             int(play.steps[w]),
