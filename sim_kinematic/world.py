@@ -66,7 +66,7 @@ class PoseCommand(NamedTuple):
     """Places on the floor [W, 2] [m]."""
     headings: Array
     """Headings [W] [rad]."""
-    seats: Array | float = 0.0
+    seats: Array
     """Seats that they sit down on, as in `HumanState.seat`, [W, 2]."""
 
 
@@ -301,7 +301,7 @@ class World:
         own = self.people if every else self.people.take(rows)
         points, headings = (np.concatenate([command[part] for command in posed.values()]) for part in range(2))
         move_people(own, points, headings, self.walker)
-        own.seat[:] = np.concatenate([np.broadcast_to(command.seats, (self.worlds, 2)) for command in posed.values()])
+        own.seat[:] = np.concatenate([command.seats for command in posed.values()])
         if not every:
             self.people.put(rows, own)
         if tuple(posed) not in self._arms:
