@@ -38,7 +38,7 @@ from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, sh
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, pool_people, stack_agents
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, pool_people
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 Rows = NDArray[np.intp]
@@ -503,16 +503,18 @@ class _PairContacts:
         self._roster, self._pairs = roster, pairs
         self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
-        kinds: dict[tuple[int, int], RobotHumanContact] = {}
-        self._of: list[RobotHumanContact | None] = []
-        for a, b in pairs:
-            both, own = (id(roster[a].body), id(roster[b].body)), None
-            if (roster[a].kind, roster[b].kind) == ("robot", "human"):
-                own = kinds.get(both) or RobotHumanContact(
-                    roster[a].body, roster[b].body, person_contact=person_contact
-                )  # type: ignore[arg-type]
-                kinds[both] = own
-            self._of.append(own)
+        # one for each two bodies, whoever has them
+        bodies = {
+            (id(a.body), id(b.body)): (a.body, b.body)
+            for a in roster
+            for b in roster
+            if isinstance(a.body, Robot) and isinstance(b.body, Humanoid)
+        }
+        kinds = {
+            key: RobotHumanContact(*both, person_contact=person_contact)  # type: ignore[arg-type]
+            for key, both in bodies.items()
+        }
+        self._of = [kinds.get((id(roster[a].body), id(roster[b].body))) for a, b in pairs]
         reach = [
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
@@ -537,19 +539,17 @@ class _PairContacts:
             shares[world.state.people[k - robots].hands[..., 3].any(1), k] = 2.0
         result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
         # people of one body beside robots of one body are posed together
-        asked: dict[RobotHumanContact, list[int]] = {}
+        asked: dict[RobotHumanContact | None, list[int]] = {}
         for p in np.flatnonzero(result.any(0)).tolist():
-            contact = self._of[p]
-            if contact is not None:
-                asked.setdefault(contact, []).append(p)
+            asked.setdefault(self._of[p], []).append(p)
+        asked.pop(None, None)
         for contact, pairs in asked.items():
-            near = [np.flatnonzero(result[:, p]) for p in pairs]
-            told = []
+            assert contact is not None
+            near, told = [np.flatnonzero(result[:, p]) for p in pairs], []
             for p, those in zip(pairs, near, strict=True):
                 (a, b), at = self._pairs[p], rows[those]
-                person = world.state.agents[b]
-                assert isinstance(person, HumanState)
-                told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), person.hands[at]))
+                hands = world.people.hands[(b - robots) * world.worlds + at]
+                told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), hands))
             robot, human, *posture, hands = map(np.concatenate, zip(*told, strict=True))
             touched = contact.touching_many(
                 robot.astype(np.float32), human.astype(np.float32), *posture, hands if world.handling else None
@@ -583,16 +583,17 @@ class _PairContacts:
         alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for w, number in who:
             # level floors count as one (None): only their heights differ, which are given row by row
-            alike.setdefault((id(self._roster[number].body), id(uneven.get(w))), []).append((w, number))
+            body = number if number < len(world.state.robots) else id(self._roster[number].body)
+            alike.setdefault((body, id(uneven.get(w))), []).append((w, number))
         frames: dict[tuple[int, int], Array] = {}
         for those in alike.values():
             w, number = those[0]
             body = self._roster[number].body
-            robots = len(world.state.robots)
+            robots, at = len(world.state.robots), np.array([row for row, _ in those])
             if number < robots:
-                together = stack_agents([(world.state.agents[n], row) for row, n in those])
+                together = world.state.robots[number].take(at)
             else:
-                together = world.people.take(np.array([(n - robots) * world.worlds + row for row, n in those]))
+                together = world.people.take(np.array([(n - robots) * world.worlds for _, n in those]) + at)
             floor = uneven.get(w, world.floor_y[[row for row, _ in those]])
             posed = body_frames(body, together, floor, speed_mps=world.walker.speed_mps)
             frames |= dict(zip(those, shape_frames(body, posed, self._person_contact), strict=True))

@@ -8,7 +8,7 @@ those of reaching, and both arms are bent so that the palms are at handle, thing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from h3data.recording import AssetRef
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Instance, instance_bounds, instance_matrix
-from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Thing
+from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station, Thing
 from sim_kinematic.crowd.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
@@ -121,30 +121,6 @@ class Movement(NamedTuple):
     """Positions of the joint [T]."""
 
 
-class ChoreStation(NamedTuple):
-    """Place of a chore."""
-
-    name: str
-    place: Array
-    """Place ``(x, z, heading)`` [3] of the person."""
-    moves: Callable[[Array, float], Motion]
-    """Motion of somebody who arrives at a place [3] and stays for some seconds."""
-
-    @property
-    def height_m(self) -> float:
-        """Nobody sits here."""
-        return 0.0
-
-    @property
-    def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of who is there, and the distance that others keep from it, [4]."""
-        return np.append(self.place, PERSON_M)
-
-    def motion(self, here: Array, seconds: float) -> Motion:
-        """Return the motion of somebody who arrives at a place [3] and stays for some time."""
-        return self.moves(here, seconds)
-
-
 class ChoreRoutine(Routine):
     """Routine with chores (`CHORES`) beside the other activities.
 
@@ -227,7 +203,7 @@ class ChoreRoutine(Routine):
             (x, z), look = found[0].tolist(), found[1].look
             place = np.array([x, z, np.arctan2(z - look[1], look[0] - x)])
             number = next(n for n, thing in enumerate(self.hands.things) if thing.name == "phone")
-            station = ChoreStation(stop.place, place, partial(self._look_at_phone, place, number))
+            station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
         if stop.activity == "put":
             fits = self._holds is not None and (self._holds[1] == 2) == plan.wide
@@ -236,7 +212,7 @@ class ChoreRoutine(Routine):
         place = np.append(plan.root[[0, 2]], heading_from_quat(plan.root[3:]))
         if not fits or any(np.hypot(*(place[:2] - other[:2])) < PERSON_M for other in taken):
             return None, ("", "")
-        station = ChoreStation(stop.place, place, partial(self._do, place, k, plan))
+        station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._do, place, k, plan))
         errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, station)
         return (place[:2].copy(), errand), ("", "")
 

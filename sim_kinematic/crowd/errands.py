@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +16,17 @@ Motion = Iterator[tuple[Array, float]]
 """Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
 
 
-class Station(Protocol):
-    """Place at which a person moves by a motion of its own, such as a seat (`sim_kinematic.crowd.seating.SeatPlace`)."""
+class Station(NamedTuple):
+    """Place at which a person moves by a motion of its own, such as a seat."""
 
-    @property
-    def name(self) -> str:
-        """Name of the station in events."""
-        ...
-
-    @property
-    def height_m(self) -> float:
-        """Height of the seat above the floor [m]; 0 without a seat."""
-        ...
-
-    @property
-    def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of who is there, and the distance that others keep from it, [4]."""
-        ...
-
-    def motion(self, here: Array, seconds: float) -> Motion:
-        """Return the motion of somebody who arrives at a place [3] and stays for some time."""
-        ...
+    name: str
+    """Name of the station in events."""
+    height_m: float
+    """Height of the seat above the floor [m]; 0 without a seat."""
+    taken: Array
+    """Place ``(x, z, heading)`` of who is there, and the distance that others keep from it, [4]."""
+    motion: Callable[[Array, float], Motion]
+    """Returns the motion of somebody who arrives at a place [3] and stays for some seconds."""
 
 
 class Thing(NamedTuple):

@@ -192,7 +192,8 @@ class Routine:
                     continue
                 if np.isfinite(self._free.geodesic(xz, place.before[:2])):
                     at = np.asarray(place.before[:2], np.float64)
-                    return (at, Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place)), refused
+                    errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place.station())
+                    return (at, errand), refused
         beside = place_beside(self._scene, self._free, stop.place, xz)
         if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
             at, (x, z) = beside

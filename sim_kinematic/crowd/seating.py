@@ -23,7 +23,7 @@ from h3data.scene.seats import Seat, seats_of
 from sim_kinematic.contact import MovingShapes, contacts
 from sim_kinematic.contact.clearance import scenery_of
 from sim_kinematic.contact.frames import body_shapes, shape_frames
-from sim_kinematic.crowd.errands import Motion
+from sim_kinematic.crowd.errands import Motion, Station
 from sim_kinematic.motion.spec import STEP_S
 
 SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
@@ -55,23 +55,15 @@ class SeatPlace(NamedTuple):
     root [4]; None: they only sit."""
 
     @property
-    def name(self) -> str:
-        """Name of the seat."""
-        return self.seat.name
-
-    @property
-    def height_m(self) -> float:
-        """Height of the seat above the floor [m]."""
-        return self.seat.height_m
-
-    @property
     def taken(self) -> Array:
         """Place ``(x, z, heading)`` of who sits or lies there, and the distance that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
-    def motion(self, here: Array, seconds: float) -> Motion:
-        """Return the motion of somebody who comes from a place [3], stays on the seat for some time, and goes back."""
-        return sit_for(here, self, seconds)
+    def station(self) -> Station:
+        """Return the station of a person of a crowd who uses the seat."""
+        return Station(
+            self.seat.name, self.seat.height_m, self.taken, lambda here, seconds: sit_for(here, self, seconds)
+        )
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:

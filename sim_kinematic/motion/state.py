@@ -115,12 +115,6 @@ class HumanState(_Arrays):
 AgentState = RobotState | HumanState
 
 
-def stack_agents(agents: Sequence[tuple[AgentState, int]]) -> AgentState:
-    """States of several agents of one kind, each in the world with a number, as if each were in a world of its own."""
-    rows = [(vars(own), world) for own, world in agents]
-    return type(agents[0][0])(**{name: np.array([row[name][world] for row, world in rows]) for name in rows[0][0]})
-
-
 def pool_people(state: WorldState) -> tuple[WorldState, HumanState]:
     """Return a copy of a state whose people's arrays lie beside each other, and views of them as one, [P * W].
 

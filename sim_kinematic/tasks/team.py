@@ -18,7 +18,7 @@ from h3data.recording.records import JOINTS
 from h3data.scene.articulation import joints_of
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
-from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.motion.state import RobotState
 from sim_kinematic.policies.assignment import handled_things, works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
@@ -245,11 +245,13 @@ class MotionTeam(Team):
                 code = words.index("walk" if distance > before else "turn") if words else -1
                 # a walk begins anew where the person set off, so the clip's phase counts from there
                 numbers += (x, z, heading, distance - set_off, blend, *arms, *seat, code)
-        for policy, own in zip(self.play.policies, world.state.agents, strict=False):
-            if works(policy) is not None:
-                assert isinstance(own, HumanState)
-                numbers += own.hands[0].ravel().tolist()
+        for k in self._handling():
+            numbers += now.hands[(k - len(world.state.robots)) * world.worlds].ravel().tolist()
         return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
+
+    def _handling(self) -> list[int]:
+        """Numbers of the people who may handle things."""
+        return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return columns of robots that drive and of people in motion clips."""
@@ -274,10 +276,9 @@ class MotionTeam(Team):
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
             if self.play.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
-        for k, policy in enumerate(self.play.policies):
-            if works(policy) is not None:
-                result[f"agent_{k}.motion_hands"] = numbers[:, at : at + 16].reshape(-1, 4, 4).astype(np.float32)
-                at += 16
+        for k in self._handling():
+            result[f"agent_{k}.motion_hands"] = numbers[:, at : at + 16].reshape(-1, 4, 4).astype(np.float32)
+            at += 16
         joints = self.play.world.state.joint_pos.shape[1]
         if joints:
             result[JOINTS] = numbers[:, at : at + joints].astype(np.float32)

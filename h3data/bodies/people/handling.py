@@ -75,5 +75,4 @@ def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) ->
 
 def blend_quats(one: Array, other: Array, share: Array) -> Array:
     """Rotations [T, J, 4] blended by shares [T]."""
-    flat = quat_nlerp(one.reshape(-1, 4), other.reshape(-1, 4), np.repeat(share, one.shape[1]))
-    return flat.reshape(one.shape)
+    return quat_nlerp(one.reshape(-1, 4), other.reshape(-1, 4), np.repeat(share, one.shape[1])).reshape(one.shape)

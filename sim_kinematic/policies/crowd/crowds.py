@@ -17,7 +17,6 @@ from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
-from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.step import discs_at
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
@@ -158,9 +157,7 @@ class Crowds:
     def _handle(self, number: int, work: HandWork, root: Array) -> None:
         """Move hands, doors and things by what a person does whose root is at a pose [7] after this step."""
         state, w = self._world.state, self._row
-        person = state.agents[number]
-        assert isinstance(person, HumanState)
-        person.hands[w] = work.lead
+        state.people[number - len(state.robots)].hands[w] = work.lead
         self._world.handling.add(number)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
