@@ -192,8 +192,6 @@ class World:
         """Height of the floor in each world [m], [W]; of the lowest storey (`heights`)."""
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
-        self.handling: set[int] = set()
-        """Numbers of the people whose hands may be led (`HumanState.hands`)."""
         self._kept: dict[int, Posture] = {}
         self._arms: dict[tuple[int, ...], list[Rows]] = {}
         """Rows of `people` with one body on one map, by the numbers of those who are posed."""
@@ -519,7 +517,7 @@ class _PairContacts:
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
         ]
-        # 1 mm wider than the gate of `touching_many`, which asks by places rounded to float32
+        # 1 mm wider than the gate of `touching`, which asks by places rounded to float32
         gates = [
             reach[a] + reach[b] if own is None else own.gate_m + 1e-3
             for (a, b), own in zip(pairs, self._of, strict=True)
@@ -534,9 +532,8 @@ class _PairContacts:
             return np.zeros((len(rows), 0), np.bool_)
         xz = world.all_agents("xz")
         shares, robots = np.zeros(xz.shape[:2]), len(world.state.robots)
-        shares[:, robots:] = world.people.seat[:, 1].reshape(-1, world.worlds).T
-        for k in world.handling:
-            shares[world.state.people[k - robots].hands[..., 3].any(1), k] = 2.0
+        wide = np.where(world.people.hands[..., 3].any(1), 2.0, world.people.seat[:, 1])
+        shares[:, robots:] = wide.reshape(-1, world.worlds).T
         result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
         # people of one body beside robots of one body are posed together
         asked: dict[RobotHumanContact | None, list[int]] = {}
@@ -551,8 +548,8 @@ class _PairContacts:
                 hands = world.people.hands[(b - robots) * world.worlds + at]
                 told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), hands))
             robot, human, *posture, hands = map(np.concatenate, zip(*told, strict=True))
-            touched = contact.touching_many(
-                robot.astype(np.float32), human.astype(np.float32), *posture, hands if world.handling else None
+            touched = contact.touching(
+                robot.astype(np.float32), human.astype(np.float32), *posture, hands if hands.any() else None
             )
             for p, those, own in zip(
                 pairs, near, np.split(touched, np.cumsum([len(n) for n in near])[:-1]), strict=True

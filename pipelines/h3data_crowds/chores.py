@@ -30,11 +30,11 @@ from h3data.geometry import (
     quat_rotate,
     transform_points,
 )
-from h3data.recording import AssetRef
+from h3data.recording import AssetRef, Body
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Instance, instance_bounds, instance_matrix
-from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station, Thing
+from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
@@ -150,11 +150,11 @@ class ChoreRoutine(Routine):
         """
         super().__init__(scene, free, stops, body)
         self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
-        things, held = list[Thing](), ""
+        things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
             if stop.activity not in CHORES or stop.activity == "phone":
                 if stop.activity == "phone" and not any(thing.name == "phone" for thing in things):
-                    things.append(Thing("phone", *LOOKS["phone"], np.full(7, np.nan)))
+                    things.append(_body("phone", np.full(7, np.nan)))
                 continue
             try:
                 plan = _planned(scene, free, body, stop, start, number, tray=held == "tray")
@@ -168,8 +168,9 @@ class ChoreRoutine(Routine):
             held = {"take": "carton", "lift": "tray"}[stop.activity]
             count = sum(thing.name.startswith(held) for thing in things)
             self._own[k] = len(things)
-            things.append(Thing(f"{held}_{count}", *LOOKS[held], np.concatenate([plan.spot, plan.root[3:]])))
-        self.hands: HandWork = HandWork(tuple(things))
+            things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
+        looks = dict.fromkeys(thing.asset for thing in things)
+        self.hands: HandWork = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
@@ -400,6 +401,13 @@ def _carried_tray(body: Humanoid, scale: float) -> Array:
         if all(gap > UNFOLDED * _arm(body, side) for side, gap in enumerate(gaps.tolist())):
             break
     return middle
+
+
+def _body(kind: str, pose: Array, count: int | None = None) -> Body:
+    """A thing of `LOOKS` with a number in its name."""
+    name = kind if count is None else f"{kind}_{count}"
+    scale = LOOKS[kind][1].astype(np.float32)
+    return Body(name=name, asset=kind, pose=pose.astype(np.float32), scale=scale, moving=0)
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:

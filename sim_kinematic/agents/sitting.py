@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from h3data.bodies.people.planted_gait import on_stairs
@@ -21,17 +19,11 @@ def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
     person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)
     try:
         here = np.append(person.base[[0, 2]], person.heading)
-        yield from move_to_seat(person, place, sit_for(here, place, seconds))
+        for at, share in sit_for(here, place, seconds):
+            show_seated(person, place, at, share)
+            yield
     finally:
         person.walk.tables = floor
-    return MotionResult(success=True)
-
-
-def move_to_seat(person: Person, place: SeatPlace, motion: Iterable[tuple[Array, float]]) -> Skill:
-    """Skill that follows places ``(x, z, heading)`` [3] and shares of sitting."""
-    for at, share in motion:
-        show_seated(person, place, at, share)
-        yield
     return MotionResult(success=True)
 
 

@@ -65,30 +65,6 @@ class RobotHumanContact:
         self,
         robot_base: NDArray[np.floating],
         human_base: NDArray[np.floating],
-        clip: int,
-        phase: float,
-        blend: float,
-        arms: tuple[float, float] = (0.0, 0.0),
-        seat: tuple[float, float] = (0.0, 0.0),
-    ) -> bool:
-        """Returns whether robot and person touch.
-
-        Args:
-            robot_base: pose of the robot's root [7].
-            human_base: pose of the person's root [7].
-            clip: number of the motion clip.
-            phase: position within the clip.
-            blend: weight of the clip.
-            arms: how far each arm is folded in, left and right.
-            seat: height of a seat [m] and share of the path to it (`h3data.bodies.people.sitting.take_seats`).
-        """
-        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms]), np.array([seat])
-        return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
-
-    def touching_many(
-        self,
-        robot_base: NDArray[np.floating],
-        human_base: NDArray[np.floating],
         clip: NDArray,
         phase: NDArray,
         blend: NDArray,
@@ -96,10 +72,17 @@ class RobotHumanContact:
         seats: NDArray | None = None,
         hands: NDArray | None = None,
     ) -> NDArray[np.bool_]:
-        """Returns whether robot and person touch in each of N cases, [N].
+        """Returns whether robot and person touch in each of N cases, [N]; the people are posed together.
 
-        Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms and seats [N, 2].
-        The people are posed together. ``hands`` [N, 4, 4] are led as `h3data.bodies.people.handling.lead_hands` takes them.
+        Args:
+            robot_base: poses of the robot's root [N, 7].
+            human_base: poses of the person's root [N, 7].
+            clip: numbers of the motion clips [N].
+            phase: positions within the clips [N].
+            blend: weights of the clips [N].
+            arms: how far each arm is folded in, left and right [N, 2].
+            seats: heights of seats [m] and shares of the path to them (`h3data.bodies.people.sitting.take_seats`) [N, 2].
+            hands: where the hands are led (`h3data.bodies.people.handling.lead_hands`) [N, 4, 4].
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         # the gate holds for every posture but lying and reaching, so people farther away need not be posed

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from h3data.recording import AssetRef
+from h3data.recording import AssetRef, Body
 
 Motion = Iterator[tuple[Array, float]]
 """Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
@@ -29,22 +29,14 @@ class Station(NamedTuple):
     """Returns the motion of somebody who arrives at a place [3] and stays for some seconds."""
 
 
-class Thing(NamedTuple):
-    """Thing that a person of a crowd takes or carries, beyond those of the home."""
-
-    name: str
-    asset: AssetRef
-    half_m: Array
-    """Half sizes [3]."""
-    pose: Array
-    """Pose (pose7) at the start; NaN: nowhere."""
-
-
 @dataclass
 class HandWork:
     """State of the hands of a person of a crowd, which the motions at stations change."""
 
-    things: tuple[Thing, ...] = ()
+    things: tuple[Body, ...] = ()
+    """What the person takes or carries, beyond the things of the home; a pose of NaN is nowhere."""
+    assets: tuple[AssetRef, ...] = ()
+    """Appearance of the things."""
     lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
     """Where the hands are led (`h3data.bodies.people.handling.lead_hands`) [4, 4]."""
     held: dict[int, Array] = field(default_factory=dict)

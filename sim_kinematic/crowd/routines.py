@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ DAYS = {
     "morning": ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work"),
     "evening": ("fetch", "cook", "eat", "look_out", "read", "wash", "rest"),
 }
-"""Order of activities in each of `sim_kinematic.crowd.roles.ROUTINES`, of which each person leaves out some."""
+"""Order of activities in each of `sim_kinematic.crowd.roles.routines`, of which each person leaves out some."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
 PERSON_M = 1.0
@@ -200,3 +201,12 @@ class Routine:
             look = float(x), float(z)
             return (at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place)), refused
         return None, refused
+
+
+def _daily(name: str, episode: Any, number: int) -> Routine:
+    stops = make_routine(episode.scene, episode.seed, number, name)
+    return Routine(episode.scene, episode.free, stops, episode.roster[number].body)
+
+
+morning, evening = partial(_daily, "morning"), partial(_daily, "evening")
+"""Routines of agents, sampled from the seed (`sim_kinematic.crowd.roles.routines`)."""

@@ -18,7 +18,6 @@ from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
-    Body,
     Event,
     InputEvent,
     Recording,
@@ -31,7 +30,8 @@ from h3data.recording.assets.scenes import scene_records
 from h3data.recording.scans import scan_column
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.policies.assignment import AssignedPolicy, handled_things
+from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import scanner_facts
@@ -322,27 +322,18 @@ def describe(
         info=info,
     )
     assets, bodies = scene_records(scene)
-    things = () if task.control.has_skills else handled_things(policies, episode.roster)
+    looks = [look for policy in policies for look in (works(policy) or HandWork()).assets]
     numbers = {name: k for k, name in enumerate(episode.moving)}
     return RecordingHeader(
         episode=record,
-        assets=(*assets, *{thing.asset.name: thing.asset for thing in things}.values()),
+        assets=(*assets, *{look.name: look for look in looks}.values()),
         bodies=tuple(
             replace(body, pose=episode.moving[body.name].astype(np.float32), moving=numbers[body.name])
             if body.name in numbers
             else body
             for body in bodies
         )
-        + tuple(
-            Body(
-                name=thing.name,
-                asset=thing.asset.name,
-                pose=thing.pose.astype(np.float32),
-                scale=thing.half_m.astype(np.float32),
-                moving=k,
-            )
-            for k, thing in enumerate(things)
-        ),
+        + tuple(handled_things(policies, episode.roster)),
         agents=tuple(
             task.control.recorded_agent(member, episode, is_external=policy.is_external)
             for member, policy in zip(episode.roster, policies, strict=True)

@@ -25,7 +25,7 @@ from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.roster import make_roster
-from sim_kinematic.crowd.roles import plugin_routines, read_role
+from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -157,8 +157,8 @@ def test_what_cannot_be_done_is_refused() -> None:
 
 
 def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None:
-    names = [read_role("breakfast").routine, *plugin_routines().names()]
-    assert names == ["breakfast", "breakfast"]
+    names = [read_role("breakfast").routine, *routines().names()]
+    assert names == ["breakfast", "morning", "evening", "breakfast"]
     scene = hall()
     home = FreeSpace.from_scene(scene, radius_m=0.25, height_m=1.5)
     task = Wander()

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from h3data.bodies.people.arms import CARRY_JOINTS, bend_arms
+from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.kernels.attention import curl_fingers
 from h3data.bodies.people.reach import Hand, grasp_point, reach_poses
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, quat_nlerp
-
-if TYPE_CHECKING:
-    from h3data.bodies.people.humanoid import Humanoid
 
 BOTH: tuple[Hand, Hand] = ("left", "right")
 """Both hands, in the order of arrays of hands."""

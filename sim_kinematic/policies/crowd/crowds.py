@@ -12,7 +12,7 @@ from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
 from h3data.scene import FreeSpace
 from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.crowd.crowd import NO_DISCS, VERSION, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
 from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.traits import Traits
@@ -51,9 +51,9 @@ class Moment(NamedTuple):
     """Positions one step ago [W, A, 2] [m]."""
     was_heading: Array
     """Headings one step ago [W, A] [rad]."""
-    discs: tuple[Array, Array, Array] = (np.zeros((0, 0, 2)), np.zeros((0, 0, 2)), np.zeros(0))
+    discs: tuple[Array, Array, Array]
     """Discs of all robots: centres now and one step ago [W, D, 2], and radii [D] [m]."""
-    robots: Array = np.zeros((0, 0, 3))
+    robots: Array
     """Places and headings of robots (x, z, heading) [W, R, 3]."""
 
     @classmethod
@@ -62,12 +62,10 @@ class Moment(NamedTuple):
         xz, heading, was_xz, was_heading = (
             world.all_agents(name, before=before) for before in (False, True) for name in ("xz", "heading")
         )
-        discs, count = [], len(world.state.robots)
+        discs, count = [np.zeros((2, len(xz), 0, 3))], len(world.state.robots)
         for k, base in enumerate(world.bases[:count]):
             moments = np.concatenate([xz[:, k], was_xz[:, k]]), np.concatenate([heading[:, k], was_heading[:, k]])
             discs.append(discs_at(*moments, tuple(base.disc_offsets_m), base.disc_radius_m).reshape(2, len(xz), -1, 3))
-        if not discs:
-            return cls(xz, heading, was_xz, was_heading)
         now, was = np.concatenate(discs, axis=2)
         around = np.ascontiguousarray(now[..., :2]), np.ascontiguousarray(was[..., :2]), now[0, :, 2].copy()
         robots = np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2)
@@ -127,10 +125,8 @@ class Crowds:
             )
         moment, own = self._moment(), list(members)
         xz, heading, was_xz = moment.xz[w], moment.heading[w], moment.was_xz[w]
-        others = NO_DISCS
-        if len(moment.robots):
-            now, was, radius = moment.discs
-            others = Discs(now[w], was[w], radius, robots=moment.robots[w], of_robots=len(radius))
+        now, was, radius = moment.discs
+        others = Discs(now[w], was[w], radius, robots=moment.robots[w], of_robots=len(radius))
         robots = len(self._world.state.robots)
         if len(own) < len(self._world.state.people):
             # people of other models and policies are obstacles that move
@@ -158,7 +154,6 @@ class Crowds:
         """Move hands, doors and things by what a person does whose root is at a pose [7] after this step."""
         state, w = self._world.state, self._row
         state.people[number - len(state.robots)].hands[w] = work.lead
-        self._world.handling.add(number)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position

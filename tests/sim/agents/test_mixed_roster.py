@@ -156,7 +156,7 @@ def test_robot_and_person_touch_as_in_social_navigation(home: Scene, free: FreeS
     touching = worlds.step([np.zeros((count, 2)), np.zeros((count, 2))])[:, 0]
     contact = RobotHumanContact(load_robot("quad_arm"), load_humanoid("female_0"))
     bases = (ground_pose(own.xz, own.heading, free.floor_y) for own in (robot, person))
-    expected = contact.touching_many(*bases, np.zeros(count, int), np.zeros(count), np.ones(count))
+    expected = contact.touching(*bases, np.zeros(count, int), np.zeros(count), np.ones(count))
     np.testing.assert_array_equal(touching, expected)
     assert 40 < expected.sum() < 180
 
