@@ -547,10 +547,10 @@ class _PairContacts:
                 (a, b), at = self._pairs[p], rows[those]
                 hands = world.people.hands[(b - robots) * world.worlds + at]
                 told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), hands))
-            robot, human, *posture, hands = map(np.concatenate, zip(*told, strict=True))
-            touched = contact.touching(
-                robot.astype(np.float32), human.astype(np.float32), *posture, hands if hands.any() else None
-            )
+            robot, human, clip, phase, blend, arms, seats, hands = map(np.concatenate, zip(*told, strict=True))
+            bases = robot.astype(np.float32), human.astype(np.float32)
+            led = hands if hands.any() else None
+            touched = contact.touching(*bases, clip, phase, blend, arms, seats, led)
             for p, those, own in zip(
                 pairs, near, np.split(touched, np.cumsum([len(n) for n in near])[:-1]), strict=True
             ):

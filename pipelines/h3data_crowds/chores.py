@@ -170,7 +170,7 @@ class ChoreRoutine(Routine):
             self._own[k] = len(things)
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
-        self.hands: HandWork = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
+        self.hands = self._work = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
@@ -194,7 +194,10 @@ class ChoreRoutine(Routine):
             if found is None or any(np.hypot(*(found[0] - other[:2])) < PERSON_M for other in taken):
                 return None, ("", "")
             at, (x, z) = found
-            return (at, Errand(np.zeros((0, 2)), stop.seconds, (float(x), float(z)), "look_out", stop.place)), ("", "")
+            return (
+                np.asarray(at, np.float64),
+                Errand(np.zeros((0, 2)), stop.seconds, (float(x), float(z)), "look_out", stop.place),
+            ), ("", "")
         if plan is None or isinstance(plan, InputError):
             found, refused = super().errand_at(k, xz, taken)
             if isinstance(plan, InputError):
@@ -203,7 +206,7 @@ class ChoreRoutine(Routine):
                 return found, refused
             (x, z), look = found[0].tolist(), found[1].look
             place = np.array([x, z, np.arctan2(z - look[1], look[0] - x)])
-            number = next(n for n, thing in enumerate(self.hands.things) if thing.name == "phone")
+            number = next(n for n, thing in enumerate(self._work.things) if thing.name == "phone")
             station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
         if stop.activity == "put":
@@ -215,14 +218,14 @@ class ChoreRoutine(Routine):
             return None, ("", "")
         station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._do, place, k, plan))
         errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, station)
-        return (place[:2].copy(), errand), ("", "")
+        return (np.asarray(place[:2], np.float64), errand), ("", "")
 
     def _do(self, place: Array, k: int, plan: Chore, here: Array, seconds: float) -> Motion:
         """Yields the motion of somebody who steps to a place [3] and does the chore of stop ``k`` there."""
         yield from steps_between(here, place)
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
-        work, t = self.hands, np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
+        work, t = self._work, np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
         puts = plan.name == "put"
         moves = self._put(plan, t) if puts else self._lift(plan, t) if plan.name == "lift" else self._take(plan, t)
         assert not puts or self._holds is not None
@@ -243,7 +246,7 @@ class ChoreRoutine(Routine):
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
         """Yields the motion of somebody who looks at a phone while they turn to a place [3] and stand there."""
-        body, work = self._body, self.hands
+        body, work = self._body, self._work
         quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
         # the gesture, which replays add by the name of the activity, lowers the head; the palm is led to where it is then
         add_gestures(body, quats, pelvis, [[NAMES.index("phone"), 0.0, 1.0]])
@@ -395,6 +398,7 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
 def _carried_tray(body: Humanoid, scale: float) -> Array:
     """Place [3] of the middle of a tray that a body carries, in the agent root frame."""
     frames = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose(np.zeros(1, np.int64), np.zeros(1)))[0]
+    middle = np.zeros(3)
     for ahead in TRAY_AHEAD:
         middle = np.array([ahead, TRAY_UP, 0.0]) * scale
         gaps = np.linalg.norm(frames[ARMS[:, 0], :3, 3] - _grips(middle, IDENTITY_POSE), axis=1)
