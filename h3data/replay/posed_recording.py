@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.gestures import add_gestures
-from h3data.bodies.people.handling import lead_hands
+from h3data.bodies.people.gestures import add_gestures, lead_hands
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats

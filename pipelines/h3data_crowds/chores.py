@@ -2,7 +2,7 @@
 
 They open a fridge and take something, carry a tray with two hands, put both down elsewhere, and look at a phone. A
 `ChoreRoutine` finds places from which their hands reach, and plans there in every step where the hands are led, how far a door
-is open, and what is held. Every posture follows from what hands touch (`h3data.bodies.people.handling`): trunk and legs are
+is open, and what is held. Every posture follows from what hands touch (`h3data.bodies.people.gestures`): trunk and legs are
 those of reaching, and both arms are bent so that the palms are at handle, thing or tray.
 """
 
@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
-from h3data.bodies.people.gestures import NAMES, add_gestures
-from h3data.bodies.people.handling import ARMS, BOTH, blend_quats
+from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, blend_quats
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
@@ -109,7 +108,7 @@ class Movement(NamedTuple):
     """Movement of the hands during a chore, with one row for each step."""
 
     lead: Array
-    """Where the hands are led (`h3data.bodies.people.handling.lead_hands`), [T, 4, 4]."""
+    """Where the hands are led (`h3data.bodies.people.gestures.lead_hands`), [T, 4, 4]."""
     places: Array
     """Places of what is taken or put down in the agent root frame [T, 3]."""
     moment: int

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.bodies.people.handling import lead_hands
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
@@ -82,7 +82,7 @@ class RobotHumanContact:
             blend: weights of the clips [N].
             arms: how far each arm is folded in, left and right [N, 2].
             seats: heights of seats [m] and shares of the path to them (`h3data.bodies.people.sitting.take_seats`) [N, 2].
-            hands: where the hands are led (`h3data.bodies.people.handling.lead_hands`) [N, 4, 4].
+            hands: where the hands are led (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         # the gate holds for every posture but lying and reaching, so people farther away need not be posed

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.bodies.people.handling import lead_hands
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose

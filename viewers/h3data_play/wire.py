@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.handling import lead_hands
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, heading_from_quat, pose_multiply

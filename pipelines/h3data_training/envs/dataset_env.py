@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.handling import lead_hands
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs, pose_planted
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, suggest
