@@ -108,7 +108,7 @@ class Movement(NamedTuple):
     """Movement of the hands during a chore, with one row for each step."""
 
     lead: Array
-    """Where the hands are led (`h3data.bodies.people.gestures.lead_hands`), [T, 4, 4]."""
+    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`), [T, 4, 4]."""
     places: Array
     """Places of what is taken or put down in the agent root frame [T, 3]."""
     moment: int
@@ -414,7 +414,7 @@ def _body(kind: str, pose: Array, count: int | None = None) -> Body:
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:
-    """Where hands are led [T, 4, 4] that hold a tray at places [T, 3] and lean to a spot [3], in the agent root frame."""
+    """Places to which hands are led [T, 4, 4] that hold a tray at places [T, 3] and lean to a spot [3], in the agent root frame."""
     lead = np.zeros((len(middle), 4, 4))
     lead[:, :2, :3] = _grips(middle, np.tile(IDENTITY_POSE, (len(middle), 1)))
     lead[:, 2:, :3] = _grips(spot, IDENTITY_POSE) + np.array([farther_m, 0.0, 0.0])

@@ -38,7 +38,7 @@ class HandWork:
     assets: tuple[AssetRef, ...] = ()
     """Appearance of the things."""
     lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
-    """Where the hands are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
+    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
     held: dict[int, Array] = field(default_factory=dict)
     """Poses (pose7), in the agent root frame, of the things in the hands, by number."""
     joints: dict[int, float] = field(default_factory=dict)

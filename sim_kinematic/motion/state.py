@@ -98,7 +98,7 @@ class HumanState(_Arrays):
     """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it,
     shape [W, 2]."""
     hands: NDArray[np.float64]
-    """Where the hands are led (`h3data.bodies.people.gestures.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
+    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
