@@ -414,7 +414,7 @@ def _body(kind: str, pose: Array, count: int | None = None) -> Body:
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:
-    """Places to which hands are led [T, 4, 4] that hold a tray at places [T, 3] and lean to a spot [3], in the agent root frame."""
+    """Places to which hands are led [T, 4, 4] that hold a tray at places [T, 3] and lean to a spot [3], by the agent root."""
     lead = np.zeros((len(middle), 4, 4))
     lead[:, :2, :3] = _grips(middle, np.tile(IDENTITY_POSE, (len(middle), 1)))
     lead[:, 2:, :3] = _grips(spot, IDENTITY_POSE) + np.array([farther_m, 0.0, 0.0])

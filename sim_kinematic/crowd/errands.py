@@ -34,7 +34,7 @@ class HandWork:
     """State of the hands of a person of a crowd, which the motions at stations change."""
 
     things: tuple[Body, ...] = ()
-    """What the person takes or carries, beyond the things of the home; a pose of NaN is nowhere."""
+    """Things that the person takes or carries, beyond the things of the home; a pose of NaN is nowhere."""
     assets: tuple[AssetRef, ...] = ()
     """Appearance of the things."""
     lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
@@ -61,7 +61,7 @@ class Errand(NamedTuple):
     place: str = ""
     """Name of the place."""
     station: Station | None = None
-    """Where the person moves by another motion, such as a seat; None: they stand."""
+    """Station at which the person moves by another motion, such as a seat; None: they stand."""
     refused: tuple[str, str] = ("", "")
     """Name of a place that the person wanted and cannot use, and the reason in a sentence."""
 

@@ -150,7 +150,7 @@ class Routine:
             )
         self.stops = tuple(stops)
         self.hands: HandWork | None = None
-        """What the person's hands do; None: they handle nothing."""
+        """Work of the person's hands; None: they handle nothing."""
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
 

@@ -37,7 +37,7 @@ class CrowdMember:
     version: int = VERSION
     """Version of the rules by which the crowd decides."""
     hands: HandWork | None = None
-    """What the person's hands do; None: they handle nothing."""
+    """Work of the person's hands; None: they handle nothing."""
 
 
 class Moment(NamedTuple):

@@ -58,7 +58,7 @@ class CrowdPolicy:
 
     @property
     def hands(self) -> HandWork | None:
-        """What the person's hands do; None: they handle nothing."""
+        """Work of the person's hands; None: they handle nothing."""
         return self.member.hands
 
     @property
