@@ -21,21 +21,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 import h3data
 from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names
 from h3data.bodies.people.reach import hand_points
-from h3data.bodies.people.skeleton import JOINT_NAMES
-from h3data.geometry import Array, pose_to_matrix
+from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS
+from h3data.geometry import Array, pose_to_matrix, quat_from_matrix
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, instance_matrix
 from h3data.scene.scene_file import scene_bytes
-from h3data_crowds.chores import GRIP_BACK_M, TRAY_M, ChoreRoutine, act_out
+from h3data_crowds.chores import CHORES, GRIP_BACK_M, TRAY_M, ChoreRoutine
 from h3data_pipelines.validation.penetration import penetrations
 from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -62,16 +63,15 @@ ANKLES = [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
 
 def resident(task: object, episode: object, number: int) -> CrowdPolicy:
     """Policy of the person."""
-    own = episode.roster[number].body  # pyright: ignore[reportAttributeAccessIssue]
-    routine = ChoreRoutine(episode.scene, episode.free, STOPS, own)  # pyright: ignore[reportAttributeAccessIssue]
+    own, start = episode.roster[number].body, episode.starts[number, :2]  # pyright: ignore[reportAttributeAccessIssue]
+    routine = ChoreRoutine(episode.scene, episode.free, STOPS, own, start=start)  # pyright: ignore[reportAttributeAccessIssue]
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def acted(body: str) -> Recording:
+def played(body: str) -> Recording:
     """Recording of a body that does all chores."""
     agents = {"human": "benchmarks.chores:resident"}
-    played = h3data.simulate("wander", HOME, roster=[body], agents=agents, seed=SEED, max_steps=30 * SECONDS)
-    return act_out(played)
+    return h3data.simulate("wander", HOME, roster=[body], agents=agents, seed=SEED, max_steps=30 * SECONDS)
 
 
 def figures_of(recording: Recording) -> dict[str, float]:
@@ -102,7 +102,7 @@ def figures_of(recording: Recording) -> dict[str, float]:
         out["door_mm"] = 1000 * _deepest(skin[own], back, box)
     for thing in recording.moving_bodies:
         track = recording.columns["object_pose"][:, thing.moving].astype(np.float64)
-        if not thing.name.endswith("tray"):
+        if "tray" not in thing.name:
             continue
         moves = np.flatnonzero(np.linalg.norm(np.diff(track[:, :3], axis=0), axis=1) > 1e-6)
         ends = np.array([[-GRIP_BACK_M, 0, -TRAY_M[2]], [-GRIP_BACK_M, 0, TRAY_M[2]]])
@@ -111,14 +111,21 @@ def figures_of(recording: Recording) -> dict[str, float]:
         out["grip_mm"] = 1000 * float(np.linalg.norm(palms[moves] - grips, axis=2).max())
         box = np.stack([-TRAY_M, TRAY_M])
         out["tray_mm"] = 1000 * _deepest(skin[moves], np.linalg.inv(there), box)
-    for span in recording.skills:
+    turns = [event for event in recording.events if event.kind in ("activity", "walks_to")]
+    spans = [
+        (event.step, after.step)
+        for event, after in pairwise(turns)
+        if event.kind == "activity" and event.target in CHORES and event.target != "phone"
+    ]
+    for begin, end in spans:
         # after the last step of arriving, until the first of going on
-        rows = slice(span.start_step + 60, span.end_step - 5)
+        rows = slice(begin + 105, end - 5)
         ankles = frames[rows][:, ANKLES][..., :3, 3]
         out["slide_mm"] = max(out["slide_mm"], 1000 * float(np.linalg.norm(ankles - ankles[:1], axis=-1).max()))
-    quats = recording.columns["agent_0.joint_quat"].astype(np.float64)
-    turns = np.minimum(np.abs(np.sum(quats[1:, TURNS] * quats[:-1, TURNS], axis=-1)), 1)
-    out["joint_deg"] = float(np.degrees(2 * np.arccos(turns)).max())
+    turned = frames[..., :3, :3].astype(np.float64)
+    quats = quat_from_matrix(turned[:, PARENTS[1:]].swapaxes(2, 3) @ turned[:, 1:])
+    dots = np.minimum(np.abs(np.sum(quats[1:, TURNS] * quats[:-1, TURNS], axis=-1)), 1)
+    out["joint_deg"] = float(np.degrees(2 * np.arccos(dots)).max())
     done = [event.kind for event in recording.events if event.kind in ("takes", "puts")]
     out["undone"] = float(4 - min(len(done), 4))
     doors = {joints.names[k] for k in np.flatnonzero(np.ptp(positions, axis=0) > 0)}
@@ -128,8 +135,8 @@ def figures_of(recording: Recording) -> dict[str, float]:
     alone = replace(recording, columns=columns, attachments={"scene.glb": scene_bytes(still)})
     (found,) = penetrations(alone, every=3)
     busy = np.zeros(len(recording), np.bool_)
-    for span in recording.skills:
-        busy[span.start_step + 30 : span.end_step + 1] = True
+    for begin, end in spans:
+        busy[begin + 30 : end] = True
     depth = np.where(busy[found.steps, None] | found.arm, found.unintended_m, 0.0)
     out["home_mm"] = 1000 * float(depth.max())
     row, part = np.unravel_index(depth.argmax(), depth.shape)
@@ -147,7 +154,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     """Emits the worst figures over all bodies."""
     figures = []
     for name in humanoid_names():
-        figures.append(own := figures_of(acted(name)))
+        figures.append(own := figures_of(played(name)))
         print(f"  {name}: {', '.join(f'{key} {value:.3g}' for key, value in own.items())}", flush=True)
     worst = {key: max(own[key] for own in figures) for key in figures[0]}
     for key in ("handle", "grip", "slide"):

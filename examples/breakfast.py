@@ -1,7 +1,7 @@
 """Pictures of a breakfast: people take something out of the fridge, carry a tray with two hands, and look at a phone.
 
-python examples/breakfast.py out/breakfast       # simulated.mcap, acted.mcap, sheet.jpg
-h3data replay out/breakfast/simulated.mcap --verify
+python examples/breakfast.py out/breakfast       # breakfast.mcap, sheet.jpg
+h3data replay out/breakfast/breakfast.mcap --verify
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import h3data
 from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_jpg
 from h3data.replay import Replay, camera_track
-from h3data_crowds.chores import ChoreRoutine, act_out
+from h3data_crowds.chores import ChoreRoutine
 from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
@@ -41,8 +41,8 @@ SHOTS = {
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """Policy of a person who follows their routine."""
-    own = episode.roster[number].body
-    routine = ChoreRoutine(episode.scene, episode.free, ROUTINES[number], own)
+    own, start = episode.roster[number].body, episode.starts[number, :2]
+    routine = ChoreRoutine(episode.scene, episode.free, ROUTINES[number], own, start=start, number=number)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
 
 
@@ -81,14 +81,12 @@ def sheet(recording: Recording, out: Path) -> None:
 
 
 def main(out: str) -> None:
-    """Plays, acts out, records and renders."""
+    """Plays, records and renders."""
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     recording = play()
-    write_mcap(recording, folder / "simulated.mcap", overwrite=True)
-    acted = act_out(recording)
-    write_mcap(acted, folder / "acted.mcap", overwrite=True)
-    sheet(acted, folder / "sheet.jpg")
+    write_mcap(recording, folder / "breakfast.mcap", overwrite=True)
+    sheet(recording, folder / "sheet.jpg")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ A world of one is W = 1. Motion, contact and arms are those of the kernels in `s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -37,7 +38,7 @@ from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, sh
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, pool_people
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 Rows = NDArray[np.intp]
@@ -65,7 +66,7 @@ class PoseCommand(NamedTuple):
     """Places on the floor [W, 2] [m]."""
     headings: Array
     """Headings [W] [rad]."""
-    seats: Array | float = 0.0
+    seats: Array
     """Seats that they sit down on, as in `HumanState.seat`, [W, 2]."""
 
 
@@ -148,7 +149,7 @@ class World:
         self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
-        self.state = WorldState.zeros(
+        state = WorldState.zeros(
             self.worlds,
             robots=len(robots),
             people=people,
@@ -156,9 +157,20 @@ class World:
             objects=objects,
             scene_joints=scene_joints,
         )
-        self.before, self.start = self.state.copy(), self.state.copy()
-        # paired once: steps change these arrays in place and never replace them
-        self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
+        self.state, self.people = pool_people(state)
+        """State of the worlds now, and all people of all worlds as one (`pool_people`)."""
+        self.before, self.people_before = pool_people(state.copy())
+        """The same one step ago."""
+        self.start = state.copy()
+        # paired once: steps change these arrays in place and never replace them. People's come as one.
+        self._moments = tuple(
+            (before, now)
+            for old, new in (
+                (replace(self.before, people=()), replace(self.state, people=())),
+                (self.people_before, self.people),
+            )
+            for before, now in zip(old.arrays(), new.arrays(), strict=True)
+        )
         self.clips = tuple(
             member.body.clip_for_speed(self.walker.speed_mps) if isinstance(member.body, Humanoid) else -1
             for member in self.roster
@@ -181,6 +193,8 @@ class World:
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
         self._kept: dict[int, Posture] = {}
+        self._arms: dict[tuple[int, ...], list[Rows]] = {}
+        """Rows of `people` with one body on one map, by the numbers of those who are posed."""
 
     @cached_property
     def _contact(self) -> _PairContacts:
@@ -209,6 +223,7 @@ class World:
         self._uneven = tuple((free, group) for free, group in self.groups if len(free.heights))
         # a recorded posture belongs to the episode that is over
         self._kept.clear()
+        self._arms.clear()
         self.blocked[rows] = False
         self.touching[rows] = self._touching(rows)
 
@@ -241,17 +256,15 @@ class World:
         commands = self._checked(commands)
         for before, now in self._moments:
             before[...] = now
-        for own, command in zip(self.state.agents, commands, strict=True):
-            if isinstance(command, PoseCommand):  # wherever they walk, the map does not change it
-                assert isinstance(own, HumanState)
-                move_people(own, command.points, command.headings, self.walker)
-                own.seat[:] = command.seats
+        posed = {k: command for k, command in enumerate(commands) if isinstance(command, PoseCommand)}
+        if posed:
+            self._move_posed(posed)
         alone = len(self.groups) == 1
         for free, rows in self.groups:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
             at = slice(None) if alone else rows
             for k, (everywhere, command) in enumerate(zip(self.state.agents, commands, strict=True)):
-                if isinstance(command, RecordedPoseCommand):
+                if isinstance(command, RecordedPoseCommand | PoseCommand):
                     continue
                 if isinstance(command, GaitCommand):
                     assert isinstance(everywhere, HumanState)
@@ -264,7 +277,7 @@ class World:
                     self.blocked[at, k] = own.contact
                 elif isinstance(command, WaypointCommand):
                     walk_humans(own, values, self.walker)
-                elif not isinstance(command, PoseCommand):
+                else:
                     # as they stood before the step, so that the order of the agents does not matter
                     others = self._discs_beside(k, self.before.agents)[at] if self._solid else None
                     self.blocked[at, k] = drive_people(
@@ -278,6 +291,36 @@ class World:
             if isinstance(command, RecordedPoseCommand):
                 self._keep(k, command)
         self.touching = self._touching(self.rows)
+
+    def _move_posed(self, posed: Mapping[int, PoseCommand]) -> None:
+        """Moves people to the places that commands give them, all of them at once: the map does not change where they get."""
+        every, robots = len(posed) == len(self.state.people), len(self.state.robots)
+        rows = np.concatenate([(k - robots) * self.worlds + self.rows for k in posed])
+        own = self.people if every else self.people.take(rows)
+        points, headings = (np.concatenate([command[part] for command in posed.values()]) for part in range(2))
+        move_people(own, points, headings, self.walker)
+        own.seat[:] = np.concatenate([command.seats for command in posed.values()])
+        if not every:
+            self.people.put(rows, own)
+        if tuple(posed) not in self._arms:
+            # people with one body on one map draw in their arms together
+            alike: dict[tuple[int, int], list[int]] = {}
+            for k in posed:
+                for w, free in enumerate(self.floors):
+                    alike.setdefault((id(self.roster[k].body), id(free)), []).append((k - robots) * self.worlds + w)
+            self._arms[tuple(posed)] = [np.array(those) for those in alike.values()]
+        for those in self._arms[tuple(posed)]:
+            k, w = robots + those[0] // self.worlds, those[0] % self.worlds
+            drawn = self.people if len(those) == len(self.people.heading) else self.people.take(those)
+            draw_arms(drawn, self.floors[w], self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
+            self.people.arms[those] = drawn.arms
+
+    def all_agents(self, name: str, *, before: bool = False) -> Array:
+        """Return an array that robots and people have, such as ``xz``, of all agents, [W, A, ...]; ``before``: one step ago."""
+        people = vars(self.people_before if before else self.people)[name]
+        people = people.reshape(len(self.state.people), self.worlds, *people.shape[1:])
+        robots = [vars(own)[name] for own in (self.before if before else self.state).robots]
+        return np.ascontiguousarray(np.swapaxes(np.concatenate([*(own[None] for own in robots), people]), 0, 1))
 
     def heights(self, xz: Array) -> Array:
         """Height of the floor at a place (x, z) in each world, [W, 2] -> [W] [m]."""
@@ -356,9 +399,16 @@ class World:
                 f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.", code="H3-SIM-051"
             )
         checked: list[Command] = []
+        posed = [command.points for command in commands if isinstance(command, PoseCommand)]
+        # people of crowds are many, so they are looked at together first
+        sound = all(
+            isinstance(points, np.ndarray) and points.shape == (self.worlds, 2) and points.dtype == np.float64
+            for points in posed
+        ) and (not posed or first_not_finite(np.concatenate(posed)) < 0)
         for member, command, base in zip(self.roster, commands, self.bases, strict=True):
             assert command is not None, "agents with skills move themselves"
-            if isinstance(command, RecordedPoseCommand | GaitCommand):
+            known = sound and isinstance(command, PoseCommand) and member.kind == "human"
+            if known or isinstance(command, RecordedPoseCommand | GaitCommand):
                 checked.append(command)
                 continue
             values = np.asarray(command[0], np.float64)
@@ -430,7 +480,7 @@ class World:
 def _near_pairs(xz, shares, rows, pairs, gates):
     """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
 
-    Gates are wider where one lies, as ``shares`` [W, A] of sitting above 1 say.
+    Gates are wider where one lies or reaches for something, as ``shares`` [W, A] above 1 say.
     """
     near = np.zeros((len(rows), len(pairs)), np.bool_)
     for n in range(len(rows)):
@@ -451,17 +501,23 @@ class _PairContacts:
         self._roster, self._pairs = roster, pairs
         self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
-        self._of = [
-            RobotHumanContact(roster[a].body, roster[b].body, person_contact=person_contact)  # type: ignore[arg-type]
-            if (roster[a].kind, roster[b].kind) == ("robot", "human")
-            else None
-            for a, b in pairs
-        ]
+        # one for each two bodies, whoever has them
+        bodies = {
+            (id(a.body), id(b.body)): (a.body, b.body)
+            for a in roster
+            for b in roster
+            if isinstance(a.body, Robot) and isinstance(b.body, Humanoid)
+        }
+        kinds = {
+            key: RobotHumanContact(*both, person_contact=person_contact)  # type: ignore[arg-type]
+            for key, both in bodies.items()
+        }
+        self._of = [kinds.get((id(roster[a].body), id(roster[b].body))) for a, b in pairs]
         reach = [
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
         ]
-        # 1 mm wider than the gate of `touching_many`, which asks by places rounded to float32
+        # 1 mm wider than the gate of `touching`, which asks by places rounded to float32
         gates = [
             reach[a] + reach[b] if own is None else own.gate_m + 1e-3
             for (a, b), own in zip(pairs, self._of, strict=True)
@@ -474,23 +530,31 @@ class _PairContacts:
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
         if not self._pairs:
             return np.zeros((len(rows), 0), np.bool_)
-        xz = np.stack([own.xz for own in world.state.agents], axis=1)
-        shares = np.zeros(xz.shape[:2])
-        for k, own in enumerate(world.state.agents):
-            if isinstance(own, HumanState):
-                shares[:, k] = own.seat[:, 1]
+        xz = world.all_agents("xz")
+        shares, robots = np.zeros(xz.shape[:2]), len(world.state.robots)
+        wide = np.where(world.people.hands[..., 3].any(1), 2.0, world.people.seat[:, 1])
+        shares[:, robots:] = wide.reshape(-1, world.worlds).T
         result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
+        # people of one body beside robots of one body are posed together
+        asked: dict[RobotHumanContact | None, list[int]] = {}
         for p in np.flatnonzero(result.any(0)).tolist():
-            contact = self._of[p]
-            if contact is None:
-                continue
-            (a, b), near = self._pairs[p], np.flatnonzero(result[:, p])
-            at = rows[near]
-            result[near, p] = contact.touching_many(
-                world.roots(a, at).astype(np.float32),
-                world.roots(b, at).astype(np.float32),
-                *world.posture(b, at),
-            )
+            asked.setdefault(self._of[p], []).append(p)
+        asked.pop(None, None)
+        for contact, pairs in asked.items():
+            assert contact is not None
+            near, told = [np.flatnonzero(result[:, p]) for p in pairs], []
+            for p, those in zip(pairs, near, strict=True):
+                (a, b), at = self._pairs[p], rows[those]
+                hands = world.people.hands[(b - robots) * world.worlds + at]
+                told.append((world.roots(a, at), world.roots(b, at), *world.posture(b, at), hands))
+            robot, human, clip, phase, blend, arms, seats, hands = map(np.concatenate, zip(*told, strict=True))
+            bases = robot.astype(np.float32), human.astype(np.float32)
+            led = hands if hands.any() else None
+            touched = contact.touching(*bases, clip, phase, blend, arms, seats, led)
+            for p, those, own in zip(
+                pairs, near, np.split(touched, np.cumsum([len(n) for n in near])[:-1]), strict=True
+            ):
+                result[those, p] = own
         if self._contacts is not None:
             self._decide(world, rows, result)
         return result
@@ -498,14 +562,16 @@ class _PairContacts:
     def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
         """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
-        asked = {k: self._others[near[k, self._others]] for k in np.flatnonzero(near[:, self._others].any(1)).tolist()}
+        near_others = near[:, self._others]
+        asked = {k: self._others[near_others[k]].tolist() for k in np.flatnonzero(near_others.any(1)).tolist()}
         # each agent once, however many of its pairs are near
-        who = [(k, number) for k, pairs in asked.items() for number in np.unique(self._numbers[pairs]).tolist()]
+        each = {k: sorted({number for p in pairs for number in self._pairs[p]}) for k, pairs in asked.items()}
+        who = [(k, number) for k, numbers in each.items() for number in numbers]
         frames = self._posed(world, [(int(rows[k]), number) for k, number in who])
         for k, pairs in asked.items():
-            for number in np.unique(self._numbers[pairs]).tolist():
+            for number in each[k]:
                 self._contacts.update(number, frames[int(rows[k]), number])
-            for p in pairs.tolist():
+            for p in pairs:
                 near[k, p] = self._contacts.collides(*self._pairs[p])
 
     def _posed(self, world: World, who: Sequence[tuple[int, int]]) -> dict[tuple[int, int], Array]:
@@ -514,12 +580,17 @@ class _PairContacts:
         alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for w, number in who:
             # level floors count as one (None): only their heights differ, which are given row by row
-            alike.setdefault((id(self._roster[number].body), id(uneven.get(w))), []).append((w, number))
+            body = number if number < len(world.state.robots) else id(self._roster[number].body)
+            alike.setdefault((body, id(uneven.get(w))), []).append((w, number))
         frames: dict[tuple[int, int], Array] = {}
         for those in alike.values():
             w, number = those[0]
             body = self._roster[number].body
-            together = stack_agents([(world.state.agents[n], row) for row, n in those])
+            robots, at = len(world.state.robots), np.array([row for row, _ in those])
+            if number < robots:
+                together = world.state.robots[number].take(at)
+            else:
+                together = world.people.take(np.array([(n - robots) * world.worlds for _, n in those]) + at)
             floor = uneven.get(w, world.floor_y[[row for row, _ in those]])
             posed = body_frames(body, together, floor, speed_mps=world.walker.speed_mps)
             frames |= dict(zip(those, shape_frames(body, posed, self._person_contact), strict=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.gestures import add_gestures
+from h3data.bodies.people.gestures import add_gestures, lead_hands
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats
@@ -343,6 +343,8 @@ class PosedRecording:
             take_seats(body, quats, pelvis, columns[prefix + "motion_seat"][steps])
         if self.stepping and (gestures := self._gestures_of(agent)) is not None:
             add_gestures(body, quats, pelvis, gestures[steps])
+        if prefix + "motion_hands" in columns:
+            lead_hands(body, quats, pelvis, columns[prefix + "motion_hands"][steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
@@ -29,7 +30,8 @@ SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 FLOOR_M = 0.02
 """Height up to which agents stand on what lies on the floor, such as a rug [m]."""
 LYING_M = 0.7
-"""Distance by which head or feet of somebody who lies are farther from the root than anything in a clip at most [m]."""
+"""Distance by which head or feet of somebody who lies, or hands of somebody who reaches for a thing, are farther from the root
+than anything in a clip at most [m]."""
 HOMES_KEPT = 64
 """Largest number of homes whose furniture stays in FCL; scene sets have fewer."""
 
@@ -63,44 +65,29 @@ class RobotHumanContact:
         self,
         robot_base: NDArray[np.floating],
         human_base: NDArray[np.floating],
-        clip: int,
-        phase: float,
-        blend: float,
-        arms: tuple[float, float] = (0.0, 0.0),
-        seat: tuple[float, float] = (0.0, 0.0),
-    ) -> bool:
-        """Returns whether robot and person touch.
-
-        Args:
-            robot_base: pose of the robot's root [7].
-            human_base: pose of the person's root [7].
-            clip: number of the motion clip.
-            phase: position within the clip.
-            blend: weight of the clip.
-            arms: how far each arm is folded in, left and right.
-            seat: height of a seat [m] and share of the path to it (`h3data.bodies.people.sitting.take_seats`).
-        """
-        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms]), np.array([seat])
-        return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
-
-    def touching_many(
-        self,
-        robot_base: NDArray[np.floating],
-        human_base: NDArray[np.floating],
         clip: NDArray,
         phase: NDArray,
         blend: NDArray,
         arms: NDArray | None = None,
         seats: NDArray | None = None,
+        hands: NDArray | None = None,
     ) -> NDArray[np.bool_]:
-        """Returns whether robot and person touch in each of N cases, [N].
+        """Returns whether robot and person touch in each of N cases, [N]; the people are posed together.
 
-        Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms and seats [N, 2].
-        The people are posed together.
+        Args:
+            robot_base: poses of the robot's root [N, 7].
+            human_base: poses of the person's root [N, 7].
+            clip: numbers of the motion clips [N].
+            phase: positions within the clips [N].
+            blend: weights of the clips [N].
+            arms: how far each arm is folded in, left and right [N, 2].
+            seats: heights of seats [m] and shares of the path to them (`h3data.bodies.people.sitting.take_seats`) [N, 2].
+            hands: where the hands are led (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
-        # the gate holds for every posture but lying, so people farther away need not be posed
+        # the gate holds for every posture but lying and reaching, so people farther away need not be posed
         wider = 0.0 if seats is None else LYING_M * (seats[:, 1] > 1)
+        wider = wider if hands is None else np.maximum(wider, LYING_M * hands[..., 3].any(1))
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m + wider)
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
@@ -108,6 +95,8 @@ class RobotHumanContact:
         posture = self._human.clip_pose(clip[near], phase[near], blend[near], arms=None if arms is None else arms[near])
         if seats is not None:
             take_seats(self._human, *posture, seats[near])
+        if hands is not None:
+            lead_hands(self._human, *posture, hands[near])
         joints = self._human.joint_matrices(human_base[near], *posture)
         people = shape_frames(self._human, joints, self._person_contact)
         bases = pose_to_matrix(robot_base[near].astype(np.float64))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose
@@ -65,6 +66,8 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
         phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
         posture = body.clip_pose(np.where(stands, 0, clip), phase, blend, arms=state.arms)
         take_seats(body, *posture, state.seat)
+        if state.hands.any():
+            lead_hands(body, *posture, state.hands)
         return body.joint_matrices(base, *posture)
     raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.", code="H3-SIM-028")
 

@@ -65,7 +65,10 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
     if isinstance(first, WaypointAction):
         return WaypointCommand(_rows([choice.xz for choice in choices]))
     if isinstance(first, PoseAction):
-        headings, seats = (np.array([getattr(choice, part) for choice in choices]) for part in ("heading", "seat"))
+        headings, seats = (
+            np.array([choice.heading for choice in choices]),
+            np.array([choice.seat for choice in choices]),
+        )
         return PoseCommand(_rows([choice.xz for choice in choices]), headings, seats)
     if isinstance(first, GaitAction):
         if len(choices) == 1:

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.crowd.company import PASSING_M, standing_circle
-from sim_kinematic.crowd.errands import Errand, Guide
+from sim_kinematic.crowd.errands import Errand, Guide, Motion, Station
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.seating import Motion, SeatPlace, sit_for
 from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
-from sim_kinematic.motion.step import discs_at
 
 CrowdModel = Literal["social_force", "orca"]
 ARRIVED_M = 0.4
@@ -59,12 +57,6 @@ class Discs(NamedTuple):
 NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
-def robot_discs(xz: Array, headings: Array, offsets: Sequence[float], radius_m: float) -> Discs:
-    """Return discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
-    now, was = discs_at(xz, headings, tuple(offsets), radius_m)
-    return Discs(now[:, :2], was[:, :2], now[:, 2])
-
-
 def _room_on(path: Array, others: Array) -> float:
     """Return the distance [m] of the nearest of ``others`` [N, 2] to a path [K, 2] at `AWAY_M` from its beginning."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
@@ -96,7 +88,7 @@ class Crowd:
         seed: int = 0,
         spec: CrowdSpec | None = None,
         stride: StrideSpec | None = None,
-        places: dict[Any, SeatPlace] | None = None,
+        places: dict[Any, Station] | None = None,
         version: int = VERSION,
     ) -> None:
         """Create a crowd that stands still and has no goals yet.
@@ -110,7 +102,7 @@ class Crowd:
             seed: Seed of the episode, from which conversations have their places.
             spec: Constants of avoidance.
             stride: Limits of walking.
-            places: Seats that people of all crowds of a world have, by crowd and number; this crowd adds its own.
+            places: Stations that people of all crowds of a world have, by crowd and number; this crowd adds its own.
             version: `VERSION` by which they decide; an earlier one repeats older recordings.
         """
         people = len(traits)
@@ -134,9 +126,9 @@ class Crowd:
         """Step until which each person stays where they are, -1: they walk."""
         self.seats = np.zeros((people, 2))
         """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
-        self._taken: dict[Any, SeatPlace] = {} if places is None else places
-        self._sitting: dict[int, tuple[SeatPlace, Motion]] = {}
-        """Seat and motion of people who sit down, sit or get up."""
+        self._taken: dict[Any, Station] = {} if places is None else places
+        self._busy: dict[int, tuple[Station, Motion]] = {}
+        """Station and motion of people who are at one, such as those who sit down, sit or get up."""
         self._waits: dict[int, tuple[Array, float]] = {}
         """Next place and share of their motion, for those who wait because somebody stands there."""
         self._stays, self._looks, self._moods = (np.zeros((people, 3)) for _ in range(3))
@@ -182,8 +174,8 @@ class Crowd:
         places = np.concatenate([xz, others.xz])
         velocities = (places - np.concatenate([before, others.before])) / STEP_S
         radii = np.concatenate([self._traits[:, 3], others.radius])
-        for m in list(self._sitting):
-            self._move_seated(m, places, radii, step)
+        for m in list(self._busy):
+            self._move_busy(m, places, radii, step)
         step_crowd(
             *self._grid,
             places,
@@ -216,13 +208,13 @@ class Crowd:
             self.new_events.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
 
-    def _move_seated(self, m: int, places: Array, radii: Array, step: int) -> None:
-        """Move a person who sits down, sits or gets up by one step in ``places`` [N, 2], unless somebody is in the way."""
+    def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
+        """Move a person who is at a station by one step in ``places`` [N, 2], unless somebody is in the way."""
         was, share = places[m].copy(), self.seats[m, 1]
-        (seat, *_), motion = self._sitting[m]
+        station, motion = self._busy[m]
         moved = self._waits.pop(m, None) or next(motion, None)
         if moved is None:
-            del self._sitting[m]
+            del self._busy[m]
             self._until[m] = step
             return
         (x, z, heading), now = moved[0].tolist(), moved[1]
@@ -235,10 +227,10 @@ class Crowd:
             return
         places[m] = x, z
         self._body[m] = heading, 0.0, 0.0, heading
-        self.seats[m] = seat.height_m, now
+        self.seats[m] = station.height_m, now
         for kind, begins in (("sits_down", share == 0 < now), ("gets_up", share == 1 > now)):
             if begins:
-                self.new_events.append((m, kind, seat.name, ""))
+                self.new_events.append((m, kind, station.name, ""))
 
     def _meet(self, xz: Array) -> None:
         """Find places for the groups that stand and talk, from the positions ``xz`` [M, 2] at the start."""
@@ -262,18 +254,18 @@ class Crowd:
         stuck = ~stays & ((step - self._best[:, 1]) * STEP_S > self._traits[:, 5])
         for m in np.flatnonzero((arrived | stuck & (left < CLOSE_M)) & (self._counts > 1)).tolist():
             errand = self._errands[m]
-            if errand.seat is not None:
+            if errand.station is not None:
                 arrived[m] &= left[m] < SEAT_M and self._body[m, 2] < SLOW_MPS
                 if not arrived[m]:
                     continue
                 here = np.append(xz[m], self._body[m, 0])
-                self._sitting[m] = errand.seat, sit_for(here, errand.seat, errand.seconds)
+                self._busy[m] = errand.station, errand.station.motion(here, errand.seconds)
             if errand.seconds > 0:
                 if not arrived[m]:
                     self._set_path(m, np.array([xz[m], xz[m]], np.float64))
-                self._until[m] = step + (np.inf if errand.seat is not None else errand.seconds / STEP_S)
+                self._until[m] = step + (np.inf if errand.station is not None else errand.seconds / STEP_S)
                 self._stays[m] = (*errand.look, 2.0) if errand.look is not None else (0.0, 0.0, 1.0)
-                self._stays[m, 2] = SEATED if errand.seat is not None else self._stays[m, 2]
+                self._stays[m, 2] = SEATED if errand.station is not None else self._stays[m, 2]
                 self.new_events.append((m, "activity", errand.activity, errand.place))
                 arrived[m] = stuck[m] = False
         if self._version > 1:
@@ -298,8 +290,8 @@ class Crowd:
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
                 self._errands[m] = chosen
                 self._set_path(m, chosen.path)
-                if chosen.seat is not None:
-                    self._taken[id(self), m] = chosen.seat
+                if chosen.station is not None:
+                    self._taken[id(self), m] = chosen.station
                 if chosen.refused[0]:
                     self.new_events.append((m, "refused", *chosen.refused))
                 x, z = chosen.path[-1].tolist()

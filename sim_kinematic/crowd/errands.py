@@ -2,14 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from sim_kinematic.crowd.seating import SeatPlace
+from h3data.recording import AssetRef, Body
+
+Motion = Iterator[tuple[Array, float]]
+"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
+
+
+class Station(NamedTuple):
+    """Place at which a person moves by a motion of its own, such as a seat."""
+
+    name: str
+    """Name of the station in events."""
+    height_m: float
+    """Height of the seat above the floor [m]; 0 without a seat."""
+    taken: Array
+    """Place ``(x, z, heading)`` of who is there, and the distance that others keep from it, [4]."""
+    motion: Callable[[Array, float], Motion]
+    """Returns the motion of somebody who arrives at a place [3] and stays for some seconds."""
+
+
+@dataclass
+class HandWork:
+    """State of the hands of a person of a crowd, which the motions at stations change."""
+
+    things: tuple[Body, ...] = ()
+    """Things that the person takes or carries, beyond the things of the home; a pose of NaN is nowhere."""
+    assets: tuple[AssetRef, ...] = ()
+    """Appearance of the things."""
+    lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
+    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
+    held: dict[int, Array] = field(default_factory=dict)
+    """Poses (pose7), in the agent root frame, of the things in the hands, by number."""
+    joints: dict[int, float] = field(default_factory=dict)
+    """New positions of joints of the home, by number."""
+    events: list[tuple[str, str, str]] = field(default_factory=list)
+    """New events: kind, name of the thing, and detail."""
 
 
 class Errand(NamedTuple):
@@ -25,12 +60,12 @@ class Errand(NamedTuple):
     """Activity at the place, the name of a posture. A body that has no such posture stands."""
     place: str = ""
     """Name of the place."""
-    seat: SeatPlace | None = None
-    """Seat on which the person sits there; None: they stand."""
+    station: Station | None = None
+    """Station at which the person moves by another motion, such as a seat; None: they stand."""
     refused: tuple[str, str] = ("", "")
-    """Name of a seat that the person wanted and cannot use, and the reason in a sentence."""
+    """Name of a place that the person wanted and cannot use, and the reason in a sentence."""
 
 
 Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
 """Function ``(xz, goal, taken)`` that returns the next errand of a person at a place [2] [m], or the path from there to the
-goal [2] of their group. Others sit or stay, or go to do so, at the places ``taken`` ``(x, z, ...)``."""
+goal [2] of their group. Others are at stations or stay, or go to do so, at the places ``taken`` ``(x, z, ...)``."""

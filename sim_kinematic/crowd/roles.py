@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 from h3data.errors import InputError, suggest
+from h3data.plugins import Registry
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.motion.randomness import generator
 
 ANY = "any"
 """Word for a reaction that is sampled for each person by the seed of the episode."""
-ROUTINES = ("morning", "evening")
-"""Routines by name (`sim_kinematic.crowd.routines`)."""
 
 
 class Role(NamedTuple):
@@ -25,11 +25,18 @@ class Role(NamedTuple):
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
-    """Name of a routine, one of `ROUTINES`; empty if the person walks from goal to goal."""
+    """Name of a routine (`routines`); empty if the person walks from goal to goal."""
 
 
 ALONE = Role()
 """Role of somebody without company, who treats robots as people."""
+
+
+@cache
+def routines() -> Registry[Any]:
+    """Return functions ``(episode, number)`` that return the `Routine` of an agent, by name."""
+    own = {name: f"sim_kinematic.crowd.routines:{name}" for name in ("morning", "evening")}
+    return Registry("h3data.routines", own, what="routine")
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
@@ -47,12 +54,12 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             )
         elif word in REACTIONS:
             role = role._replace(reaction=word)
-        elif word in ROUTINES:
+        elif word in routines().names():
             role = role._replace(routine=word)
         elif re.fullmatch(r"(walk|talk)\d{0,4}", word):
             role = role._replace(group=word)
         else:
-            known = (*REACTIONS, ANY, *ROUTINES, "walk1", "talk1")
+            known = (*REACTIONS, ANY, *routines().names(), "walk1", "talk1")
             raise InputError(
                 f"Nobody in a crowd is {word!r}.{suggest(word, known)} Hint: people of a group have the same word, such as "
                 "orca+walk1,orca+walk1.",

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
-from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.crowd.errands import Errand, HandWork
 from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.randomness import generator
 
@@ -61,7 +62,7 @@ DAYS = {
     "morning": ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work"),
     "evening": ("fetch", "cook", "eat", "look_out", "read", "wash", "rest"),
 }
-"""Order of activities in each of `sim_kinematic.crowd.roles.ROUTINES`, of which each person leaves out some."""
+"""Order of activities in each of `sim_kinematic.crowd.roles.routines`, of which each person leaves out some."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
 PERSON_M = 1.0
@@ -148,6 +149,8 @@ class Routine:
                 code="H3-SIM-063",
             )
         self.stops = tuple(stops)
+        self.hands: HandWork | None = None
+        """Work of the person's hands; None: they handle nothing."""
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
 
@@ -161,30 +164,49 @@ class Routine:
         """
         refused = "", ""
         for _ in self.stops:
-            stop = self.stops[self._next % len(self.stops)]
+            k = self._next % len(self.stops)
             self._next += 1
-            posture = posture_of(stop.activity, ("stand", "sit", "lie"))
-            if self._seats is not None and posture != "stand":
-                seats = self._seats.at(stop.place)
-                # who finds no place to lie sits
-                for seat, lies in [
-                    *((seat, True) for seat in seats if posture == "lie"),
-                    *((seat, False) for seat in seats),
-                ]:
-                    try:
-                        place = self._seats.place(seat, taken)
-                        place = self._seats.to_lie(place, taken) if lies else place
-                    except InputError as fault:
-                        refused = refused if refused[0] else (seat.name, f"{fault.code}: {fault}")
-                        continue
-                    if np.isfinite(self._free.geodesic(xz, place.before[:2])):
-                        at = np.asarray(place.before[:2], np.float64)
-                        return at, Errand(
-                            np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place, refused
-                        )
-            beside = place_beside(self._scene, self._free, stop.place, xz)
-            if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
-                at, (x, z) = beside
-                look = float(x), float(z)
-                return at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place, None, refused)
+            found, why = self.errand_at(k, xz, taken)
+            refused = refused if refused[0] else why
+            if found is not None:
+                return found[0], found[1]._replace(refused=refused)
         return None
+
+    def errand_at(
+        self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
+    ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
+        """Return what `next_stop` returns if stop ``k`` is the next one, and what is refused there (`Errand.refused`)."""
+        stop, refused = self.stops[k], ("", "")
+        posture = posture_of(stop.activity, ("stand", "sit", "lie"))
+        if self._seats is not None and posture != "stand":
+            seats = self._seats.at(stop.place)
+            # who finds no place to lie sits
+            for seat, lies in [
+                *((seat, True) for seat in seats if posture == "lie"),
+                *((seat, False) for seat in seats),
+            ]:
+                try:
+                    place = self._seats.place(seat, taken)
+                    place = self._seats.to_lie(place, taken) if lies else place
+                except InputError as fault:
+                    refused = refused if refused[0] else (seat.name, f"{fault.code}: {fault}")
+                    continue
+                if np.isfinite(self._free.geodesic(xz, place.before[:2])):
+                    at = np.asarray(place.before[:2], np.float64)
+                    errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place.station())
+                    return (at, errand), refused
+        beside = place_beside(self._scene, self._free, stop.place, xz)
+        if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
+            at, (x, z) = beside
+            look = float(x), float(z)
+            return (at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place)), refused
+        return None, refused
+
+
+def _daily(name: str, episode: Any, number: int) -> Routine:
+    stops = make_routine(episode.scene, episode.seed, number, name)
+    return Routine(episode.scene, episode.free, stops, episode.roster[number].body)
+
+
+morning, evening = partial(_daily, "morning"), partial(_daily, "evening")
+"""Routines of agents, sampled from the seed (`sim_kinematic.crowd.roles.routines`)."""

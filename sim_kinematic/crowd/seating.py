@@ -7,7 +7,7 @@ straight back to it. A seat whose path leads the body into a thing cannot be use
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from h3data.scene.seats import Seat, seats_of
 from sim_kinematic.contact import MovingShapes, contacts
 from sim_kinematic.contact.clearance import scenery_of
 from sim_kinematic.contact.frames import body_shapes, shape_frames
+from sim_kinematic.crowd.errands import Motion, Station
 from sim_kinematic.motion.spec import STEP_S
 
 SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
@@ -57,6 +58,12 @@ class SeatPlace(NamedTuple):
     def taken(self) -> Array:
         """Place ``(x, z, heading)`` of who sits or lies there, and the distance that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
+
+    def station(self) -> Station:
+        """Return the station of a person of a crowd who uses the seat."""
+        return Station(
+            self.seat.name, self.seat.height_m, self.taken, lambda here, seconds: sit_for(here, self, seconds)
+        )
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:
@@ -209,10 +216,6 @@ class Seats:
         return True
 
 
-Motion = Iterator[tuple[Array, float]]
-"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
-
-
 def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
     """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
     yield from take_seat(here, place)
@@ -241,7 +244,7 @@ def root_at(place: SeatPlace, share: float) -> Array:
 def take_seat(here: Array, place: SeatPlace) -> Motion:
     """Yield the motion of somebody who comes from a place [3] before a seat and sits down."""
     for start, end in ((here, place.before), (place.before, place.stand)):
-        yield from ((at, 0.0) for at in _steps(start, end))
+        yield from steps_between(start, end)
     yield from _shares(place.stand, 0, 0, SETTLE_S)
     yield from _shares(place.stand, 0, 1, SIT_S)
 
@@ -251,7 +254,7 @@ def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
     if share > 0:
         yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
         yield from _shares(here, 0, 0, SETTLE_S / 2)
-    yield from ((at, 0.0) for at in _steps(here, place.before))
+    yield from steps_between(here, place.before)
 
 
 def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
@@ -263,11 +266,11 @@ def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
         yield at, share
 
 
-def _steps(start: Array, end: Array) -> Iterator[Array]:
-    """Yield places ``(x, z, heading)`` [3] from one place to another, one for each step of the simulation."""
+def steps_between(start: Array, end: Array) -> Motion:
+    """Yield the motion of somebody who steps and turns from one place [3] to another."""
     turn = float(wrap_angle(end[2] - start[2]))
     gap = end[:2] - start[:2]
     steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)
     for k in range(1, steps + 1):
         u = smoothstep(k / steps)
-        yield np.append(start[:2] + u * gap, start[2] + u * turn)
+        yield np.append(start[:2] + u * gap, start[2] + u * turn), 0.0

@@ -380,7 +380,7 @@ class WorldStepper:
         if scripted and self.spec.human.stride is not None:
             striding = [self._walkers[w][k] for w in range(self.worlds)]
             moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(striding)])
-            return PoseCommand(moves[:, :2], moves[:, 2])
+            return PoseCommand(moves[:, :2], moves[:, 2], np.zeros((self.worlds, 2)))
         if scripted:  # only those who have arrived need a new way point
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):

@@ -6,7 +6,7 @@ One world is W = 1. A world may have any number of robots and people, also none.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -97,6 +97,8 @@ class HumanState(_Arrays):
     seat: NDArray[np.float64]
     """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it,
     shape [W, 2]."""
+    hands: NDArray[np.float64]
+    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
@@ -105,6 +107,7 @@ class HumanState(_Arrays):
             xz=np.zeros((worlds, 2)),
             arms=np.zeros((worlds, 2)),
             seat=np.zeros((worlds, 2)),
+            hands=np.zeros((worlds, 4, 4)),
             **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")},
         )
 
@@ -112,10 +115,19 @@ class HumanState(_Arrays):
 AgentState = RobotState | HumanState
 
 
-def stack_agents(agents: Sequence[tuple[AgentState, int]]) -> AgentState:
-    """States of several agents of one kind, each in the world with a number, as if each were in a world of its own."""
-    rows = [(vars(own), world) for own, world in agents]
-    return type(agents[0][0])(**{name: np.array([row[name][world] for row, world in rows]) for name in rows[0][0]})
+def pool_people(state: WorldState) -> tuple[WorldState, HumanState]:
+    """Return a copy of a state whose people's arrays lie beside each other, and views of them as one, [P * W].
+
+    Person ``p`` of world ``w`` is row ``p * W + w``.
+    """
+    pool = {
+        name: np.stack([vars(own)[name] for own in state.people]) for name in vars(HumanState.zeros(0)) if state.people
+    }
+    if not pool:
+        return state, HumanState.zeros(0)
+    people = tuple(HumanState(**{name: array[p] for name, array in pool.items()}) for p in range(len(state.people)))
+    together = {name: array.reshape(-1, *array.shape[2:]) for name, array in pool.items()}
+    return replace(state, people=people), HumanState(**together)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
+from h3data.recording import Body
 from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.roles import check_groups, read_role
-from sim_kinematic.crowd.routines import Routine, make_routine
+from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.crowd.roles import check_groups, read_role, routines
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.learned import PREFIX, weights_hint
@@ -43,10 +45,7 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
 
 def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: str = "") -> Policy:
     role = read_role(words, episode.seed, number)
-    routine = None
-    if role.routine:
-        stops = make_routine(episode.scene, episode.seed, number, role.routine)
-        routine = Routine(episode.scene, episode.free, stops, episode.roster[number].body)
+    routine = routines().get(role.routine)(episode, number) if role.routine else None
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 
@@ -90,6 +89,21 @@ class AssignedPolicy(NamedTuple):
     def takes_agent_view(self) -> bool:
         """Return whether the policy is shown an `AgentView` in every task, also where others get a view of their own."""
         return bool(getattr(self.policy, "takes_agent_view", False))
+
+
+def works(policy: AssignedPolicy) -> HandWork | None:
+    """Return what the hands of an agent do; None: they handle nothing."""
+    return getattr(policy.policy, "hands", None)
+
+
+def handled_things(policies: Sequence[AssignedPolicy], roster: Sequence[Any]) -> list[Body]:
+    """Return the things that people bring along, in the order of the agents, each with its owner's name before its own."""
+    things = [
+        (f"{member.name}_{thing.name}", thing)
+        for member, policy in zip(roster, policies, strict=True)
+        for thing in (works(policy) or HandWork()).things
+    ]
+    return [replace(thing, name=name, moving=k) for k, (name, thing) in enumerate(things)]
 
 
 def is_address(name: str) -> bool:

@@ -15,7 +15,7 @@ from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
@@ -156,9 +156,9 @@ class WorldRollout:
             episode.spec,
             episode.roster,
             measure=measure,
-            # without skills nothing moves the things of a home, so they are no part of the state
-            objects=len(episode.moving) if has_skills else 0,
-            scene_joints=len(joint_names(episode.scene)) if has_skills else 0,
+            # without skills and chores nothing moves the things of a home, so they are no part of the state
+            objects=len(episode.moving) if has_skills else len(handled_things(policies, episode.roster)),
+            scene_joints=len(joint_names(episode.scene)) if has_skills or any(map(works, policies)) else 0,
         )
         play.policies = list(policies)
         play.begin([episode])

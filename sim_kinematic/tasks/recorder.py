@@ -30,7 +30,8 @@ from h3data.recording.assets.scenes import scene_attachment, scene_records
 from h3data.recording.scans import scan_column
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import scanner_facts
@@ -316,16 +317,18 @@ def describe(
         created_by=f"h3data {own_version()}",
         info=info,
     )
+    looks = [look for policy in policies for look in (works(policy) or HandWork()).assets]
     numbers = {name: k for k, name in enumerate(episode.moving)}
     return RecordingHeader(
         episode=record,
-        assets=assets,
+        assets=(*assets, *{look.name: look for look in looks}.values()),
         bodies=tuple(
             replace(body, pose=episode.moving[body.name].astype(np.float32), moving=numbers[body.name])
             if body.name in numbers
             else body
             for body in bodies
-        ),
+        )
+        + tuple(handled_things(policies, episode.roster)),
         agents=tuple(
             task.control.recorded_agent(member, episode, is_external=policy.is_external)
             for member, policy in zip(episode.roster, policies, strict=True)

@@ -19,6 +19,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
+from h3data.recording.records import JOINTS
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -233,6 +234,14 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
     named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
+    if not keeps_people and any(
+        new and f"agent_{k}.motion_hands" in recording.columns for k, new in enumerate(changed)
+    ):
+        raise InputError(
+            "People who do chores brought the things along that they carry, so no other policy can take over from theirs. "
+            "Hint: change the robot's policy alone.",
+            code="H3-TASK-090",
+        )
     policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
         task,
@@ -316,8 +325,11 @@ class _Played:
         people = _numbers(recording, "human")
         kept = {
             name: recording.columns[name][:rows]
-            for name in self.columns
-            if name in recording.columns and _is_kept(name, people)
+            for name in recording.columns
+            if (name in self.columns and _is_kept(name, people))
+            # who keeps a track handles the same things, which the simulation leaves alone
+            or name.endswith(".motion_hands")
+            or (name in (JOINTS, "object_pose") and not task.control.has_skills)
         }
         self.columns |= kept
         # over the kept columns, which are part of the new recording

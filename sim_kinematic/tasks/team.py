@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array
 from h3data.recording import Event
+from h3data.recording.records import JOINTS
+from h3data.scene.articulation import joints_of
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
-from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.motion.state import RobotState
+from sim_kinematic.policies.assignment import handled_things, works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
@@ -111,6 +114,13 @@ class MotionTeam(Team):
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
         self._moment = None
+        # only worlds of one episode have doors and things (`WorldRollout.of`)
+        state = self.play.world.state
+        if state.joint_pos.shape[1]:
+            state.joint_pos[:] = joints_of(self.play.episode.scene).rest
+        if state.object_pose.shape[1]:
+            things = handled_things(self.play.policies, self.play.world.roster)
+            state.object_pose[:] = np.array([thing.pose for thing in things])
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Move all agents of all worlds at once."""
@@ -121,7 +131,7 @@ class MotionTeam(Team):
     def view(self, agent: int, world: int) -> AgentView:
         """Return the observation of an agent in one world."""
         play, w = self.play, world
-        episode, (xz, heading, was_xz, was_heading) = play.episodes[w], (values[w] for values in self._where())
+        episode, (xz, heading, was_xz, was_heading) = play.episodes[w], (values[w] for values in self._where()[:4])
         places, was = np.column_stack([xz, heading]), np.column_stack([was_xz, was_heading])
         return AgentView(
             int(play.steps[w]),
@@ -218,25 +228,30 @@ class MotionTeam(Team):
         """Place, motion, command and word of each agent, as plain numbers."""
         numbers: list[float] = []
         world, skills = self.play.world, self.play.task.control.skills
+        # all people at once, and Python floats, which take half the time of NumPy's
+        now, was = world.people, world.people_before.distance[:: world.worlds].tolist()
+        parts = (now.xz, now.heading, now.distance, now.set_off, now.blend, now.arms, now.seat)
+        people = zip(*(part[:: world.worlds].tolist() for part in parts), was, strict=True)
         for k, (member, own) in enumerate(zip(world.roster, world.state.agents, strict=True)):
             words = skills.get(member.kind, ())
-            # Python floats take half the time of NumPy's
-            (x, z), heading = own.xz[0].tolist(), own.heading.item(0)
             if isinstance(own, RobotState):
+                (x, z), heading = own.xz[0].tolist(), own.heading.item(0)
                 command, word = self._commands[k], self.controllers[k].word
                 forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
                 code = words.index(word) if word in words else -1
                 numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
             else:
-                was = world.before.agents[k]
-                assert isinstance(was, HumanState)
-                distance = own.distance.item(0)
-                walks = distance > was.distance.item(0)
-                code = words.index("walk" if walks else "turn") if words else -1
+                (x, z), heading, distance, set_off, blend, arms, seat, before = next(people)
+                code = words.index("walk" if distance > before else "turn") if words else -1
                 # a walk begins anew where the person set off, so the clip's phase counts from there
-                since = distance - own.set_off.item(0)
-                numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), *own.seat[0].tolist(), code)
-        return numbers
+                numbers += (x, z, heading, distance - set_off, blend, *arms, *seat, code)
+        for k in self._handling():
+            numbers += now.hands[(k - len(world.state.robots)) * world.worlds].ravel().tolist()
+        return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
+
+    def _handling(self) -> list[int]:
+        """Numbers of the people who may handle things."""
+        return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return columns of robots that drive and of people in motion clips."""
@@ -261,6 +276,14 @@ class MotionTeam(Team):
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
             if self.play.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
+        for k in self._handling():
+            result[f"agent_{k}.motion_hands"] = numbers[:, at : at + 16].reshape(-1, 4, 4).astype(np.float32)
+            at += 16
+        joints = self.play.world.state.joint_pos.shape[1]
+        if joints:
+            result[JOINTS] = numbers[:, at : at + joints].astype(np.float32)
+        if numbers.shape[1] > at + joints:
+            result["object_pose"] = numbers[:, at + joints :].reshape(steps, -1, 7).astype(np.float32)
         return result, places, np.any(contact, axis=0) if contact else None
 
     def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:

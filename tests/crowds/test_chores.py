@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import h3data
+from benchmarks.people import hall
 from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.people.reach import hand_points
-from h3data.errors import InputError
+from h3data.errors import InputError, SceneError
+from h3data.recording import read_mcap, write_mcap
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
+from h3data.scene import FreeSpace
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.open import named_scenes, open_free_space, open_scene
-from h3data_crowds.chores import ChoreRoutine, act_out, chore_at
+from h3data_crowds.chores import GRIP_BACK_M, ChoreRoutine, chore_at
+from h3data_exporters.posing import posed_parts
+from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.validation.recordings import validate_recording
+from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
-from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.resume import counterfactual, resume, verify
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.wander import Wander
 
 HOME = "medium-open:3"
 STOPS = Stop("fridge_0", "take", 12.5), Stop("kitchen_counter_0", "put", 9.0), Stop("dining_table_0", "lift", 8.5)
@@ -28,30 +39,45 @@ STOPS = Stop("fridge_0", "take", 12.5), Stop("kitchen_counter_0", "put", 9.0), S
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """A person who does chores."""
-    routine = ChoreRoutine(episode.scene, episode.free, STOPS, episode.roster[number].body)
+    body, start = episode.roster[number].body, episode.starts[number, :2]
+    routine = ChoreRoutine(episode.scene, episode.free, STOPS, body, start=start)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
 
 
 @pytest.fixture(scope="module")
-def played() -> h3data.Recording:
+def acted() -> h3data.Recording:
     agents = {"human": f"{__name__}:resident"}
     return h3data.simulate("wander", HOME, roster=["female_1"], agents=agents, seed=3, max_steps=1200)
 
 
-@pytest.fixture(scope="module")
-def acted(played: h3data.Recording) -> h3data.Recording:
-    return act_out(played)
+def test_chores_are_simulated_again_bit_for_bit(acted: h3data.Recording, tmp_path: Path) -> None:
+    assert verify(acted).difference is None
+    assert [finding.text for finding in validate_recording(acted) if finding.severity == "error"] == []
+    write_mcap(acted, tmp_path / "acted.mcap")
+    again = read_mcap(tmp_path / "acted.mcap")
+    np.testing.assert_array_equal(again.columns["agent_0.motion_hands"], acted.columns["agent_0.motion_hands"])
+
+
+def test_people_without_chores_have_no_columns_of_them() -> None:
+    walks = h3data.simulate(
+        "wander", "small:1", agents={"human": "orca+morning", "robot": "still"}, seed=1, max_steps=3
+    )
+    assert not {name for name in walks.columns if "hands" in name or name in ("object_pose", JOINTS)}
 
 
 @pytest.mark.slow
-def test_acting_out_changes_nobodys_way_and_the_original_verifies(
-    played: h3data.Recording, acted: h3data.Recording
-) -> None:
-    assert verify(played).difference is None
-    np.testing.assert_array_equal(acted.agent_column(0, "base_pose"), played.agent_column(0, "base_pose"))
-    assert [finding.text for finding in validate_recording(acted) if finding.severity == "error"] == []
-    walks = h3data.simulate("wander", "small:1", agents={"human": "still", "robot": "still"}, seed=1, max_steps=20)
-    assert act_out(walks) is walks
+def test_who_is_replaced_takes_the_things_along_and_other_robots_may_come() -> None:
+    agents = {"human": "orca+breakfast", "robot": "still"}
+    options = {"spawn_distance_m": 1.0, "end_on_collision": False}
+    played = h3data.simulate(
+        "crowd_nav", HOME, roster=["robot", "female_1"], agents=agents, seed=4, max_steps=200, **options
+    )
+    with pytest.raises(InputError, match="H3-TASK-090"):
+        resume(played, 100, partner="orca")
+    other = counterfactual(played, "shortest_path")
+    rows = len(other)
+    np.testing.assert_array_equal(other.columns["object_pose"], played.columns["object_pose"][:rows])
+    assert set(other.columns) == set(played.columns)
 
 
 def test_a_hand_leads_the_door_and_the_other_one_takes(acted: h3data.Recording) -> None:
@@ -70,12 +96,42 @@ def test_a_hand_leads_the_door_and_the_other_one_takes(acted: h3data.Recording) 
     assert np.linalg.norm(palms - handle[:, None], axis=2).min(1).max() < 0.02
 
 
+def test_palms_hold_the_tray_and_the_carton_follows_the_hand(acted: h3data.Recording) -> None:
+    replay, steps = Replay(acted), {(event.kind, event.target): event.step for event in acted.events}
+    body, tracks = replay.model(0), {body.name: body.moving for body in acted.moving_bodies}
+    assert isinstance(body, Humanoid)
+    for name, rows in (
+        ("human_carton_0", np.arange(steps["takes", "human_carton_0"], steps["puts", "human_carton_0"], 7)),
+        ("human_tray_0", np.arange(steps["takes", "human_tray_0"], len(acted), 7)),
+    ):
+        places = acted.columns["object_pose"][rows, tracks[name], :3].astype(np.float64)
+        palms = np.stack([hand_points(replay.joint_matrices(0, rows), body, hand) for hand in ("left", "right")], 1)
+        middle = (
+            palms.mean(1)
+            if "tray" in name
+            else palms[:, np.linalg.norm(palms - places[:, None], axis=2).sum(0).argmin()]
+        )
+        apart = GRIP_BACK_M if "tray" in name else 0.0
+        assert np.abs(np.linalg.norm(middle - places, axis=1) - apart).max() < 0.02
+
+
+@pytest.mark.slow
+def test_files_for_other_programs_have_doors_and_things(acted: h3data.Recording, tmp_path: Path) -> None:
+    file = tmp_path / "acted.gfx_replay.json"
+    write_gfx_replay(acted, posed_parts(Replay(acted)), file)
+    again = read_gfx_replay(file)
+    (ours,) = [body.moving for body in acted.moving_bodies if "carton" in body.name]
+    track = acted.columns["object_pose"][:, ours, :3]
+    tracks = again.columns["object_pose"][..., :3]
+    assert np.abs(tracks - track[:, None]).max((0, 2)).min() < 1e-3
+
+
 def test_what_is_taken_stays_where_it_was_put(acted: h3data.Recording) -> None:
     told = [(event.kind, event.target, event.detail) for event in acted.events if event.kind in ("takes", "puts")]
     assert told == [
         ("takes", "human_carton_0", "fridge_0"),
         ("puts", "human_carton_0", "kitchen_counter_0"),
-        ("takes", "human_tray", "dining_table_0"),
+        ("takes", "human_tray_0", "dining_table_0"),
     ]
     step = next(event.step for event in acted.events if event.kind == "puts")
     (carton,) = [body for body in acted.moving_bodies if "carton" in body.name]
@@ -92,7 +148,20 @@ def test_what_cannot_be_done_is_refused() -> None:
     body, near = load_humanoid("female_1"), np.array([7.0, 9.1])
     with pytest.raises(InputError, match="H3-TASK-086"):
         chore_at(scene, free, body, Stop("dining_table_0", "take", 12.5), near=near)
-    routine = ChoreRoutine(scene, free, [Stop("fridge_0", "take", 3.0)], body)
+    routine = ChoreRoutine(scene, free, [Stop("fridge_0", "take", 3.0)], body, start=near)
     found = routine.next_stop(near)
     assert found is not None
-    assert "at least" in found[1].refused[1]
+    assert found[1].refused[1].startswith("H3-TASK-088")
+    # nothing is in the hands, so there is nothing to put down and nowhere to go
+    assert ChoreRoutine(scene, free, [Stop("kitchen_counter_0", "put", 9.0)], body, start=near).next_stop(near) is None
+
+
+def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None:
+    names = [read_role("breakfast").routine, *routines().names()]
+    assert names == ["breakfast", "morning", "evening", "breakfast"]
+    scene = hall()
+    home = FreeSpace.from_scene(scene, radius_m=0.25, height_m=1.5)
+    task = Wander()
+    episode = task.sample(scene, home, 1, SocialNavSpec(max_steps=2), make_roster(["human"]))
+    with pytest.raises(SceneError, match="H3-TASK-089"):
+        simulate(task, episode, {"human": "orca+breakfast"})

@@ -40,7 +40,8 @@ PAGES = sorted(
 """CHANGELOG.md may tell of what is no more."""
 NOT_OBJECTS = re.compile(
     r"h3data\.(tasks|robots|policies|profiles|formats|motions|episode_files|scenes|apps|commands|device_envs|trainers|executors"
-    r"|notebooks|viewers|meshes|walks|slides|robot_files|robot_guesses|renderers|lidars|lights|gltf_codecs|stand_ins|report_sections|policy_servers|batch|schema_version|moments)"
+    r"|notebooks|viewers|meshes|walks|slides|robot_files|robot_guesses|renderers|lidars|lights|gltf_codecs|stand_ins"
+    r"|report_sections|policy_servers|routines|batch|schema_version|moments)"
 )
 """Groups of entry points and keys in the metadata of files."""
 

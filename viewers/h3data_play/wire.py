@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, heading_from_quat, pose_multiply
@@ -159,6 +160,8 @@ class StatePacker:
             draw_in(quats[None], columns[agent + "motion_arms"][-1:], shoulders_forward=True)
         if agent + "motion_seat" in columns:
             take_seats(body, quats[None], pelvis[None], columns[agent + "motion_seat"][-1:])
+        if agent + "motion_hands" in columns:
+            lead_hands(body, quats[None], pelvis[None], columns[agent + "motion_hands"][-1:])
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]
 
 

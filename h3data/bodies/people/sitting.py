@@ -214,6 +214,8 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
             code="H3-BODY-179",
         )
     rows = np.flatnonzero(seats[:, 1] > 0)
+    if not len(rows):
+        return
     # by millimetres, because each height has a table of its own, which is cached
     kinds = np.column_stack([seats[rows, 0].round(3), seats[rows, 1] > 1])
     for height, lies in np.unique(kinds, axis=0).tolist():

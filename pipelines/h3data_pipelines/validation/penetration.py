@@ -35,6 +35,8 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 
 CORE_M = 1e-3
 """Radius of the thin capsule within a capsule, from which depth is measured."""
+CHORE_EVENTS = ("activity", "takes", "puts", "walks_to")
+"""Kinds of events of people who do chores (`sim_kinematic.crowd.errands.HandWork`)."""
 REACHING = ("pick", "place", "drop")
 """Skills in which a hand approaches the surface on which something lies."""
 HELD = "held object"
@@ -131,13 +133,24 @@ def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery
     """Names of the things on which the object lies, or is to lie, that an agent picks or places in each step."""
     moving = {body.name: body.moving for body in recording.bodies}
     found = [frozenset[str]()] * len(steps)
-    for span in recording.skills:
-        if span.agent != agent or span.name not in REACHING or moving.get(span.target, -1) < 0:
+    spans = [
+        (span.name == "pick", span.target, span.start_step, span.end_step)
+        for span in recording.skills
+        if span.agent == agent and span.name in REACHING
+    ]
+    # a chore lasts from the activity to the next way, and what is taken or put down is told in between
+    told = [event for event in recording.events if event.agent == agent and event.kind in CHORE_EVENTS]
+    for k, event in enumerate(told):
+        if event.kind in ("takes", "puts"):
+            ends = told[k + 1].step if k + 1 < len(told) else len(recording) - 1
+            spans.append((event.kind == "takes", event.target, told[max(k - 1, 0)].step, ends))
+    for picks, target, start, end in spans:
+        if moving.get(target, -1) < 0:
             continue
-        lies_at = span.start_step if span.name == "pick" else min(span.end_step, len(recording) - 1)
-        point = recording.columns["object_pose"][lies_at, moving[span.target], :3].astype(np.float64)
+        lies_at = start if picks else min(end, len(recording) - 1)
+        point = recording.columns["object_pose"][lies_at, moving[target], :3].astype(np.float64)
         things = frozenset(scenery.supports(point))
-        for row in np.flatnonzero((steps >= span.start_step) & (steps <= span.end_step)):
+        for row in np.flatnonzero((steps >= start) & (steps <= end)):
             found[row] = things
     return found
 

@@ -188,6 +188,7 @@ _KINDS: dict[str, tuple[DTypeLike, tuple[int | None, ...], tuple[float, float] |
     "motion_blend": (np.dtype("float32"), (), (0, 1)),
     "motion_arms": (np.dtype("float32"), (2,), (0, 1)),
     "motion_seat": (np.dtype("float32"), (2,), (0, 2)),
+    "motion_hands": (np.dtype("float32"), (4, 4), None),
 }
 """Type, shape of a row, and limits of each column of an agent, as far as they are the same for all agents."""
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs, pose_planted
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, suggest
@@ -327,6 +328,8 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             draw_in(quats, now[agent + "motion_arms"], shoulders_forward=True)
         if agent + "motion_seat" in now:
             take_seats(body, quats, pelvis, now[agent + "motion_seat"])
+        if agent + "motion_hands" in now:
+            lead_hands(body, quats, pelvis, now[agent + "motion_hands"])
         return body.joint_matrices(now[agent + "base_pose"], quats, pelvis)
 
     def __reduce__(self) -> tuple[Callable[[], DatasetEnv], tuple[()]]:

@@ -38,7 +38,10 @@ class RobotTensors(NamedTuple):
 
 
 class HumanTensors(NamedTuple):
-    """State of one person in each world; the fields are those of `HumanState`, but arms, which always swing here, and seats."""
+    """State of one person in each world.
+
+    The fields are those of `HumanState`, but arms, which always swing here, seats and hands.
+    """
 
     xz: Tensor
     heading: Tensor

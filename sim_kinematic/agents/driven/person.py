@@ -30,7 +30,8 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.sitting import show_seated
 from sim_kinematic.agents.skills import CONTROL, SIT, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
-from sim_kinematic.crowd.seating import Motion, SeatPlace, Seats, leave_seat, take_seat
+from sim_kinematic.crowd.errands import Motion
+from sim_kinematic.crowd.seating import SeatPlace, Seats, leave_seat, take_seat
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from h3data.bodies import Robot
-from h3data.geometry import Array
+from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.crowd import NO_DISCS, VERSION, Crowd, CrowdModel, Discs, robot_discs
-from sim_kinematic.crowd.errands import Guide
+from sim_kinematic.contact.frames import root_pose
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
-from sim_kinematic.crowd.seating import SeatPlace
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.step import discs_at
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
 
@@ -36,6 +36,8 @@ class CrowdMember:
     """Seed of the episode."""
     version: int = VERSION
     """Version of the rules by which the crowd decides."""
+    hands: HandWork | None = None
+    """Work of the person's hands; None: they handle nothing."""
 
 
 class Moment(NamedTuple):
@@ -49,14 +51,25 @@ class Moment(NamedTuple):
     """Positions one step ago [W, A, 2] [m]."""
     was_heading: Array
     """Headings one step ago [W, A] [rad]."""
+    discs: tuple[Array, Array, Array]
+    """Discs of all robots: centres now and one step ago [W, D, 2], and radii [D] [m]."""
+    robots: Array
+    """Places and headings of robots (x, z, heading) [W, R, 3]."""
 
     @classmethod
     def of(cls, world: World) -> Moment:
         """Return the places of all agents now and one step ago."""
-        states = world.state.agents, world.before.agents
-        return cls(
-            *(np.stack([getattr(own, name) for own in agents], 1) for agents in states for name in ("xz", "heading"))
+        xz, heading, was_xz, was_heading = (
+            world.all_agents(name, before=before) for before in (False, True) for name in ("xz", "heading")
         )
+        discs, count = [np.zeros((2, len(xz), 0, 3))], len(world.state.robots)
+        for k, base in enumerate(world.bases[:count]):
+            moments = np.concatenate([xz[:, k], was_xz[:, k]]), np.concatenate([heading[:, k], was_heading[:, k]])
+            discs.append(discs_at(*moments, tuple(base.disc_offsets_m), base.disc_radius_m).reshape(2, len(xz), -1, 3))
+        now, was = np.concatenate(discs, axis=2)
+        around = np.ascontiguousarray(now[..., :2]), np.ascontiguousarray(was[..., :2]), now[0, :, 2].copy()
+        robots = np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2)
+        return cls(xz, heading, was_xz, was_heading, around, robots)
 
 
 class Crowds:
@@ -71,8 +84,8 @@ class Crowds:
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
-        self._places: dict[Any, SeatPlace] = {}
-        """Seats that people have."""
+        self._places: dict[Any, Station] = {}
+        """Stations that people have."""
         self.new_events: list[Event] = []
         """Reactions to robots and activities that people of the crowds began in the last step."""
 
@@ -110,23 +123,19 @@ class Crowds:
                 places=self._places,
                 version=people[0].version,
             )
-        xz, heading, was_xz, was_heading = (values[w] for values in self._moment())
-        discs, robots, count = [NO_DISCS], [], 0
-        for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
-            if isinstance(member.body, Robot):
-                robots.append((*xz[k], heading[k]))
-                count += len(base.disc_offsets_m)
-                moments = np.stack([xz[k], was_xz[k]]), np.array([heading[k], was_heading[k]])
-                discs.append(robot_discs(*moments, base.disc_offsets_m, base.disc_radius_m))
-            elif k not in members:
-                # people of other models and policies are obstacles that move
-                # 0.3: radius of people who follow another policy [m]
-                discs.append(Discs(xz[k, None], was_xz[k, None], np.array([0.3])))
-        others = NO_DISCS
-        if len(discs) > 1:
-            around = (np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True))
-            others = Discs(*around, robots=np.array(robots).reshape(-1, 3), of_robots=count)
-        own = list(members)
+        moment, own = self._moment(), list(members)
+        xz, heading, was_xz = moment.xz[w], moment.heading[w], moment.was_xz[w]
+        now, was, radius = moment.discs
+        others = Discs(now[w], was[w], radius, robots=moment.robots[w], of_robots=len(radius))
+        robots = len(self._world.state.robots)
+        if len(own) < len(self._world.state.people):
+            # people of other models and policies are obstacles that move
+            # 0.3: radius of people who follow another policy [m]
+            more = [k for k in range(robots, len(xz)) if k not in members]
+            around = np.concatenate([others.xz, xz[more]]), np.concatenate([others.before, was_xz[more]])
+            others = others._replace(
+                xz=around[0], before=around[1], radius=np.concatenate([others.radius, np.full(len(more), 0.3)])
+            )
         xz, heading, was_xz = xz[own], heading[own], was_xz[own]
         places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
         self.new_events += [
@@ -136,3 +145,26 @@ class Crowds:
         seats = self._crowds[model].seats.tolist()
         for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
             self._moved[number] = PoseAction(place, angle, (height, share))
+            if (work := members[number].hands) is not None:
+                self._handle(
+                    number, work, root_pose(self._world.roster[number].body, place, angle, members[number].free)
+                )
+
+    def _handle(self, number: int, work: HandWork, root: Array) -> None:
+        """Move hands, doors and things by what a person does whose root is at a pose [7] after this step."""
+        state, w = self._world.state, self._row
+        state.people[number - len(state.robots)].hands[w] = work.lead
+        # worlds that learners step hold neither doors nor things
+        for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
+            state.joint_pos[w, k] = position
+        work.joints.clear()
+        others = [member for members in self._members.values() for n, member in members.items() if n < number]
+        first = sum(len(member.hands.things) for member in others if member.hands is not None)
+        for k, pose in work.held.items() if state.object_pose.shape[1] else ():
+            state.object_pose[w, first + k] = pose_multiply(root, pose)
+        name = self._world.roster[number].name
+        for kind, thing, detail in work.events:
+            self.new_events.append(
+                Event(step=self._step, agent=number, kind=kind, target=f"{name}_{thing}", detail=detail)
+            )
+        work.events.clear()

@@ -13,7 +13,7 @@ from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.crowd.errands import Errand, HandWork
 from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.routines import Routine
 from sim_kinematic.crowd.traits import sample_traits
@@ -46,8 +46,20 @@ class CrowdPolicy:
         self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
         traits = sample_traits(seed, number, walker.speed_mps)
         self.member = CrowdMember(
-            model=model, free=free, traits=traits, walker=walker, guide=self._guide, role=role, seed=seed
+            model=model,
+            free=free,
+            traits=traits,
+            walker=walker,
+            guide=self._guide,
+            role=role,
+            seed=seed,
+            hands=None if routine is None else routine.hands,
         )
+
+    @property
+    def hands(self) -> HandWork | None:
+        """Work of the person's hands; None: they handle nothing."""
+        return self.member.hands
 
     @property
     def sits(self) -> bool:

@@ -66,7 +66,7 @@ def test_worlds_are_taken_and_put_back(robots: int, people: int, objects: int, w
     for array in state.arrays():
         array[...] = rng.integers(0, 2, array.shape)
     assert len(state.agents) == robots + people
-    assert len(state.arrays()) == 4 * robots + 7 * people + 4
+    assert len(state.arrays()) == 4 * robots + 8 * people + 4
     assert [own.joints.shape for own in state.robots] == [(worlds, j) for j in range(robots)]
     copy, blank = (
         state.copy(),
@@ -156,7 +156,7 @@ def test_robot_and_person_touch_as_in_social_navigation(home: Scene, free: FreeS
     touching = worlds.step([np.zeros((count, 2)), np.zeros((count, 2))])[:, 0]
     contact = RobotHumanContact(load_robot("quad_arm"), load_humanoid("female_0"))
     bases = (ground_pose(own.xz, own.heading, free.floor_y) for own in (robot, person))
-    expected = contact.touching_many(*bases, np.zeros(count, int), np.zeros(count), np.ones(count))
+    expected = contact.touching(*bases, np.zeros(count, int), np.zeros(count), np.ones(count))
     np.testing.assert_array_equal(touching, expected)
     assert 40 < expected.sum() < 180
 

@@ -68,7 +68,7 @@ def test_contact_is_what_sampled_surfaces_say(robot: Robot, human: Humanoid) -> 
         gap = (np.linalg.norm(cloud[:, None] - nearest, axis=-1) - radius).min()
         if -1e-3 < gap < 0.04:  # samples are centimetres apart
             continue
-        touching = contact.touching(robot_base, human_base, *frame)
+        touching = bool(contact.touching(robot_base[None], human_base[None], *map(np.atleast_1d, frame))[0])
         assert touching == (gap < 0), (apart, gap)
         seen[touching] += 1
     assert min(seen.values()) > 12
@@ -102,11 +102,14 @@ def test_many_cases_are_those_of_each(robot: Robot, human: Humanoid) -> None:
     robots = ground_pose(rng.uniform(-0.1, 0.1, (n, 2)), rng.uniform(-np.pi, np.pi, n))
     people = ground_pose(rng.uniform(-1.2, 1.2, (n, 2)), rng.uniform(-np.pi, np.pi, n))
     clip, phase, blend = np.full(n, human.clip_for_speed(1.3)), rng.random(n), rng.random(n)
-    together = contact.touching_many(robots, people, clip, phase, blend)
-    each = [contact.touching(*case) for case in zip(robots, people, clip, phase, blend, strict=True)]
+    together = contact.touching(robots, people, clip, phase, blend)
+    each = [
+        bool(contact.touching(*(value[None] for value in case))[0])
+        for case in zip(robots, people, clip, phase, blend, strict=True)
+    ]
     assert together.tolist() == each
     assert 5 < together.sum() < n - 5
-    assert contact.touching_many(robots[:0], people[:0], clip[:0], phase[:0], blend[:0]).shape == (0,)
+    assert contact.touching(robots[:0], people[:0], clip[:0], phase[:0], blend[:0]).shape == (0,)
 
 
 def test_bones_touch_less_than_bodies_and_never_alone(robot: Robot, human: Humanoid) -> None:
@@ -116,7 +119,7 @@ def test_bones_touch_less_than_bodies_and_never_alone(robot: Robot, human: Human
     robots = ground_pose(np.zeros((n, 2)), rng.uniform(-np.pi, np.pi, n))
     people = ground_pose(rng.uniform(-1.0, 1.0, (n, 2)), rng.uniform(-np.pi, np.pi, n))
     clip, phase, blend = np.full(n, human.clip_for_speed(2.5)), rng.random(n), rng.random(n)
-    whole, thin = (contact.touching_many(robots, people, clip, phase, blend) for contact in (body, bones))
+    whole, thin = (contact.touching(robots, people, clip, phase, blend) for contact in (body, bones))
     assert (thin & ~whole).sum() <= 2  # fingers may stand out of the capsule of a hand
     assert 20 < thin.sum() < whole.sum() - 10
 
@@ -133,7 +136,7 @@ def test_no_gate_hides_a_contact_of_bones(away: float, angle: float, turn: float
     first.set_transforms(shape_frames(robot, links))
     second.set_transforms(shape_frames(human, joints, "bones")[0])
     contact = RobotHumanContact(robot, human, person_contact="bones")
-    assert contact.touching(*bases, *frame) == collide(first, second)
+    assert contact.touching(*(base[None] for base in bases), *map(np.atleast_1d, frame))[0] == collide(first, second)
 
 
 def test_a_world_asks_the_shapes_that_its_rules_name() -> None:

@@ -127,11 +127,11 @@ def test_who_cannot_lie_is_told_why_and_sits():
 def test_head_and_feet_of_somebody_who_lies_are_touched():
     robot, body = load_robot("quad_arm"), load_humanoid("female_0")
     contact = RobotHumanContact(robot, body)
-    person = ground_pose(np.zeros(2), 0.0)
+    person, stands = ground_pose(np.zeros(2), 0.0), (np.zeros(1, int), np.zeros(1), np.zeros(1))
     for x in (-1.4, 0.9):  # at the head, at the feet
         base = ground_pose(np.array([x, 0.0]), 0.0)
-        assert contact.touching(base, person, 0, 0.0, 0.0, seat=(0.4, 2.0))
-        assert not contact.touching(base, person, 0, 0.0, 0.0)
+        assert contact.touching(base[None], person[None], *stands, seats=np.array([[0.4, 2.0]]))[0]
+        assert not contact.touching(base[None], person[None], *stands)[0]
 
 
 def test_gltf_shows_who_lies(rests: Recording, tmp_path: Path):

@@ -175,8 +175,9 @@ def test_a_seated_person_is_touched_where_they_are():
     robot, body = load_robot("quad_arm"), load_humanoid("female_0")
     contact = RobotHumanContact(robot, body)
     person, bench = ground_pose(np.zeros(2), 0.0), ground_pose(np.array([-0.95, 0.0]), 0.0)
-    assert contact.touching(bench, person, 0, 0.0, 0.0, seat=(0.45, 1.0))
-    assert not contact.touching(bench, person, 0, 0.0, 0.0)
+    stands = np.zeros(1, int), np.zeros(1), np.zeros(1)
+    assert contact.touching(bench[None], person[None], *stands, seats=np.array([[0.45, 1.0]]))[0]
+    assert not contact.touching(bench[None], person[None], *stands)[0]
 
 
 def test_a_seat_that_somebody_has_is_refused_and_the_rest_goes_on():

@@ -251,7 +251,7 @@ def test_contact_is_that_of_the_exact_shapes(name: str, person: PersonContact, t
     phase = (human.clips[clip].start_phase + distance / human.clips[clip].stride_m) % 1.0
     bases = ground_pose(robot_xz, robot_heading, 0.0), ground_pose(human_xz, human_heading, 0.0)
     frame = np.full(count, clip), phase, blend
-    truth = RobotHumanContact(robot, human, person_contact=person).touching_many(*bases, *frame)
+    truth = RobotHumanContact(robot, human, person_contact=person).touching(*bases, *frame)
     robots = RobotTensors(doubles(robot_xz), doubles(robot_heading), torch.zeros(count, dtype=torch.bool))
     people = HumanTensors(*map(doubles, (human_xz, human_heading, distance, np.zeros(count), blend)))
     test = TouchTest.of(robot, human, WalkerSpec(), "cpu", torch.float64, person_contact=person)
