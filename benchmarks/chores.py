@@ -37,8 +37,8 @@ from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, instance_matrix
 from h3data.scene.scene_file import scene_bytes
 from h3data_crowds.chores import CHORES, GRIP_BACK_M, TRAY_M, ChoreRoutine
+from h3data_crowds.routines import Stop
 from h3data_pipelines.validation.penetration import penetrations
-from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
 HOME, SECONDS, SEED = "medium-open:3", 72, 3

@@ -17,7 +17,7 @@ from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_jpg
 from h3data.replay import Replay, camera_track
 from h3data_crowds.chores import ChoreRoutine
-from sim_kinematic.crowd.routines import Stop
+from h3data_crowds.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
 SCENE, SEED, SECONDS, FPS = "medium-open:3", 3, 45, 30

@@ -17,7 +17,7 @@ from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_png
 from h3data.render.video import VideoWriter
 from h3data.replay import Replay, camera_track
-from sim_kinematic.crowd.routines import Routine, Stop
+from h3data_crowds.routines import Routine, Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
 SCENE, SEED, SECONDS, FPS = "medium2:1", 11, 60, 30

@@ -15,9 +15,10 @@ Everything is imported at first use, so `import h3data` is quick.
 
 from __future__ import annotations
 
+import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
-from h3data.gymnasium_ids import register_ids
 from h3data.moved import announce_moves
 
 announce_moves()
@@ -112,7 +113,9 @@ __all__ = [
     "view",
 ]
 
-register_ids()
+# Gymnasium 1 reads no entry points: its ids need an import, and this is the one that people have
+if "gymnasium" in sys.modules:
+    importlib.import_module("h3data.envs")
 
 
 def __getattr__(name: str) -> Any:

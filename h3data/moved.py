@@ -11,6 +11,7 @@ from typing import Any
 
 MOVED = {
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
+    "sim_kinematic.crowd.routines": "h3data_crowds.routines",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
     "sim_kinematic.controllers.controller": "sim_kinematic.controllers",
     "h3data.render.raster.vectors": "h3data.kernels.vectors",

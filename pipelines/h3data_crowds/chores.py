@@ -33,8 +33,8 @@ from h3data.recording import AssetRef, Body
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Instance, instance_bounds, instance_matrix
+from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
-from sim_kinematic.crowd.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S

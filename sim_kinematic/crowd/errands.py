@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,3 +69,20 @@ class Errand(NamedTuple):
 Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
 """Function ``(xz, goal, taken)`` that returns the next errand of a person at a place [2] [m], or the path from there to the
 goal [2] of their group. Others are at stations or stay, or go to do so, at the places ``taken`` ``(x, z, ...)``."""
+
+
+class Agenda(Protocol):
+    """Stops of one person, such as those of a morning at home; packages add some by entry points (`roles.routines`)."""
+
+    stops: Sequence[tuple[str, str, float]]
+    """Place, activity and seconds of each stop; recordings name them."""
+    hands: HandWork | None
+    """Work of the person's hands; None: they handle nothing."""
+
+    def next_stop(
+        self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
+    ) -> tuple[NDArray[np.float64], Errand] | None:
+        """Return the place [2] of the next stop that a person at a place [2] can walk to, and its errand without a path.
+
+        Others are at the places ``taken`` ``(x, z, ...)``. None: no stop can be reached.
+        """

@@ -34,9 +34,8 @@ ALONE = Role()
 
 @cache
 def routines() -> Registry[Any]:
-    """Return functions ``(episode, number)`` that return the `Routine` of an agent, by name."""
-    own = {name: f"sim_kinematic.crowd.routines:{name}" for name in ("morning", "evening")}
-    return Registry("h3data.routines", own, what="routine")
+    """Return functions ``(episode, number)`` that return the `Agenda` of an agent, by name."""
+    return Registry("h3data.routines", {"morning": "", "evening": ""}, what="routine")
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
@@ -54,7 +53,7 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             )
         elif word in REACTIONS:
             role = role._replace(reaction=word)
-        elif word in routines().names():
+        elif word in (*routines().names(), *routines().missing()):
             role = role._replace(routine=word)
         elif re.fullmatch(r"(walk|talk)\d{0,4}", word):
             role = role._replace(group=word)

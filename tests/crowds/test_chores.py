@@ -20,13 +20,13 @@ from h3data.scene import FreeSpace
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.chores import GRIP_BACK_M, ChoreRoutine, chore_at
+from h3data_crowds.routines import Stop
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.crowd.roles import read_role, routines
-from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.resume import counterfactual, resume, verify

@@ -89,7 +89,7 @@ GESTURES: dict[str, Gesture] = {
         1.2, (None,), ((0.5, -0.05, -0.1), (0.62, 0.0, -0.1), (0.5, -0.05, -0.1), (0.62, 0.0, -0.1)), twist_deg=5.0
     ),
 }
-"""Gestures by name; most are those of the activities of people who live in a home (`sim_kinematic.crowd.routines`)."""
+"""Gestures by name; most are those of the activities of people who live in a home (`h3data_crowds.routines`)."""
 NAMES = tuple(GESTURES)
 RAISED = 0.38
 """Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""

@@ -13,9 +13,8 @@ from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.errands import Errand, HandWork
+from sim_kinematic.crowd.errands import Agenda, Errand, HandWork
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.routines import Routine
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WalkerSpec
@@ -35,7 +34,7 @@ class CrowdPolicy:
         number: int,
         walker: WalkerSpec,
         role: Role = ALONE,
-        routine: Routine | None = None,
+        routine: Agenda | None = None,
     ) -> None:
         """Make agent ``number`` of the episode with a seed, with the traits that they have in it.
 

@@ -16,12 +16,12 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Instance, Scene
 from h3data.scene.seats import seats_of
+from h3data_crowds.routines import Stop
 from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.posing import posed_parts
 from h3data_pipelines.validation.penetration import penetrations
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.contact.clearance import RobotHumanContact
-from sim_kinematic.crowd.routines import Stop
 from sim_kinematic.crowd.seating import LIES_APART_M, Seats, sit_for
 from sim_kinematic.tasks.resume import verify
 from tests.export.test_exporters import Played, assert_same_points

@@ -22,13 +22,13 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import Box, FreeSpace, Instance, Scene
 from h3data.scene.seats import seats_of
+from h3data_crowds.routines import Routine, Stop
 from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_pipelines.validation.penetration import penetrations
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.contact.clearance import RobotHumanContact
-from sim_kinematic.crowd.routines import Routine, Stop
 from sim_kinematic.crowd.seating import APART_M, Seats, sit_for, stand_before
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.resume import verify

@@ -14,7 +14,7 @@ from benchmarks.people import hall
 from h3data.errors import InputError, SceneError
 from h3data.scene import FreeSpace
 from h3data.scene.open import named_scenes, open_free_space, open_scene
-from sim_kinematic.crowd.routines import (
+from h3data_crowds.routines import (
     ACTIVITIES,
     DAYS,
     ROOM_M,
