@@ -47,7 +47,7 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         f"{TESTS} tests/play/test_wire.py tests/play/test_apps.py",
     ),
     "Habitat": (f"{TESTS} tests/habitat/navmesh tests/scene/freespace tests/pipelines/test_scenes_command.py",),
-    "pictures for a GPU": (f"{TESTS} tests/training/torch/test_cameras.py",),
+    "pictures for a GPU": (f"{TESTS} -m slow tests/training/torch/test_cameras.py -k arms_picture",),
     "oracle skills": (f"{TESTS} tests/sim/agents/test_oracle.py",),
     "floors of others": (  # found in maps and triangles, where no rooms tell of them
         f"{TESTS} tests/ros/test_maps.py -k drawn_and_measured",
