@@ -1,6 +1,7 @@
 """Registries: built-in entries, installed entry points, ``module:name``, and what happens when plug-ins are broken."""
 
 import importlib.metadata
+import sys
 from typing import Any
 
 import pytest
@@ -39,6 +40,7 @@ def test_installed_packages_are_read_again_only_after_a_change(install, monkeypa
     one, reads = registry(), []
     real = importlib.metadata.entry_points
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda: reads.append(1) or real())
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a new __pycache__ beside the module is a change, too
     install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
     assert {tuple(one.load_all()) for _ in range(5)} == {("join", "loads", "zeta")}
     assert tuple(registry().names()) == ("join", "loads", "zeta")
