@@ -14,6 +14,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 from tests.paths import ROOT
@@ -47,6 +48,7 @@ def names_per_1000_lines(root: Path) -> float:
     return 1000 * sum(map(count_names, sources)) / sum(len(source.splitlines()) for source in sources)
 
 
+@cache
 def by_package(root: Path) -> Counter[str]:
     """Statements of each package of a clone."""
     folders = [root / name for name in CORE]

@@ -57,6 +57,7 @@ def test_the_two_sides_of_a_blind_corner_do_not_see_each_other():
     assert not episode.free.is_navigable(line).all()
 
 
+@pytest.mark.slow
 def test_a_card_is_found_in_a_home_and_plays_again():
     recording = h3data.simulate("scenarios", "medium:1", seed=1, card="blind_corner", where="home")
     assert recording.episode.info["extra"]["where"] == "home"

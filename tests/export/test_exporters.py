@@ -250,6 +250,7 @@ def test_our_replays_carry_light_from_all_sides(recording: Recording, replay: Re
     assert read_gfx_replay(path).episode.info["lights"] == first["lights"]
 
 
+@pytest.mark.slow
 def test_replays_from_before_still_come_back(recording: Recording, replay: Replay, tmp_path: Path) -> None:
     """Until 0.1.0's first trial, people stood at their root 0.9 m above the floor, and no user transform said so."""
     path = write_gfx_replay(recording, posed_parts(replay), tmp_path / "own.gfx_replay.json").path

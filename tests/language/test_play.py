@@ -150,6 +150,7 @@ def test_players_hear_what_is_for_them_in_words(tmp_path: Path) -> None:
     assert game.messages(two.number, 3)[0]["text"] == "Please move aside."
 
 
+@pytest.mark.slow
 def test_two_people_share_a_task(tmp_path: Path) -> None:
     game = table(tmp_path, partner=None, seats=("person", "person")).begin(FIRST)
     assert [member.kind for member in game.session.episode.roster] == ["human", "human"]
@@ -322,6 +323,7 @@ def test_a_question_that_nobody_answers_ends_by_itself(tmp_path: Path) -> None:
     assert remarks(tmp_path) == ("finished", [])
 
 
+@pytest.mark.slow
 def test_a_server_that_is_killed_during_the_question_asks_again(tmp_path: Path) -> None:
     first = worker_of(tmp_path)
     send(first, 1, k="problem", text="hm")
@@ -333,6 +335,7 @@ def test_a_server_that_is_killed_during_the_question_asks_again(tmp_path: Path) 
     assert remarks(tmp_path)[0] == "finished", "nobody is connected when it begins"
 
 
+@pytest.mark.slow
 def test_apps_without_a_question_take_no_remarks(tmp_path: Path) -> None:
     player = Player(LiveGame(table(tmp_path, app="rearrange", scenes="small:3", partner="still", rules={}), 0))
     for message in ({"k": "end", "why": "skipped"}, {"k": "problem", "text": "x"}, {"k": "answer", "answer": "yes"}):

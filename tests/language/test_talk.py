@@ -116,6 +116,7 @@ def test_somebody_outside_talks_in_any_task_with_skills_and_their_raw_input_is_p
     assert verify(made).equal
 
 
+@pytest.mark.slow
 def test_talkers_say_what_they_take_and_never_head_for_the_same_thing() -> None:
     task = episode("two_on", seed=1, max_steps=3000)
     made = simulate(Language(), task, {"robot": "language_talk", "human": "language_talk"})

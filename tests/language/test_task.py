@@ -410,6 +410,7 @@ class Porter:
         return errand(view, self.puts[self.now].target)
 
 
+@pytest.mark.slow
 def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
     spec = LanguageSpec(template="inside", max_steps=2500)
     sampled: Any = Language().episode(h3data.load_scene(OPEN_HOME), seed=3, spec=spec)

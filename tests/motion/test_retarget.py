@@ -269,6 +269,7 @@ def test_import_walks_folders(folder: Path, tmp_path: Path, capsys: pytest.Captu
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_show_draws(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(p) for p in sorted((folder / "in").iterdir())[:2]]
     assert main(["motion", "show", *files, "--json", "--cycle"]) == 0

@@ -64,6 +64,7 @@ def contents(root: Path) -> dict[str, bytes]:
     return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 # --- the card ---------------------------------------------------------------------------------------------------------
 def test_a_card_says_what_is_inside(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import yaml
@@ -200,6 +201,7 @@ def test_a_smaller_version_replaces_the_larger_one(dataset: Dataset, hub: Hub, t
     assert hub.asked["uploads"] == uploads, "what is there is not sent again"
 
 
+@pytest.mark.slow
 def test_an_interrupted_push_goes_on(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     root = copied(dataset, tmp_path / "ds")
     hub.fail_after = 3

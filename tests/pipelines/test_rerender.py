@@ -95,6 +95,7 @@ def test_data_is_exact_and_comes_with_its_cameras(
         assert sum(1 for _ in container.decode(video=0)) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("mp4", "av1", "png"))]
 )

@@ -175,6 +175,7 @@ def test_unknown_cameras_are_refused(folder: Path, capsys: pytest.CaptureFixture
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_from_a_uri(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     uri = place("mock://memory/view/long.mcap")
     uri.put((folder / "long.mcap").read_bytes())  # type: ignore[union-attr]
@@ -214,6 +215,7 @@ def test_long_recordings_are_exported_in_blocks(tmp_path: Path) -> None:
     assert (peak(many) - peak(few)) / (many - few) < 300
 
 
+@pytest.mark.slow
 def test_progress_is_shown_while_files_are_written(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -135,6 +135,7 @@ ROOMS = {"scenes": "small2-doors:0", "seed": 2}
 CUP = 0
 
 
+@pytest.mark.slow
 def test_a_closed_door_between_rooms_is_named_and_told(tmp_path: Path):
     player = Player(LiveGame(opening(tmp_path, **ROOMS), 0))
     player.play()
@@ -260,6 +261,7 @@ def test_the_page_learns_of_joints_only_where_they_move(tmp_path: Path):
     assert manifest(scenes="small:2")["joints"] == []
 
 
+@pytest.mark.slow
 def test_pages_are_told_of_the_floor_when_it_has_changed(tmp_path: Path):
     told: list[dict[str, Any]] = []
 

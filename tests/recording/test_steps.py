@@ -63,6 +63,7 @@ def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
     )
 
 
+@pytest.mark.slow
 @SOME
 @given(rec=recordings(max_steps=25), cut=st.tuples(st.integers(0, 25), st.integers(0, 25)), rows=st.integers(1, 9))
 @example(rec=simple_recording(steps=0), cut=(0, 0), rows=1)

@@ -153,6 +153,7 @@ def same_as_new_stages(replay: Replay, camera: Camera, steps: range, samples: Li
     return shares
 
 
+@pytest.mark.slow
 def test_a_map_of_a_recording_is_drawn_where_people_and_robots_are() -> None:
     replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(preset="small", seed=2)), seed=2)))
     camera = camera_track(replay, "top_down").resized(240, 200).at(0)

@@ -71,12 +71,17 @@ def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     "name",
     [
         f"{HITL}/session_1user_policy/gen2/10.json.gz",
-        f"{HITL}/session_1user_policy/gen2/11.json.gz",
         f"{HITL}/session_2users/gen1/session.0.pkl.gz",
-        f"{HITL}/session_2users/gen1/session.1.pkl.gz",
-        f"{HITL}/session_2users/gen2/10.json.gz",
-        f"{HITL}/session_2users/gen2/11.json.gz",
-        "hitl/my_session.gfx_replay.json",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in (
+                f"{HITL}/session_1user_policy/gen2/11.json.gz",
+                f"{HITL}/session_2users/gen1/session.1.pkl.gz",
+                f"{HITL}/session_2users/gen2/10.json.gz",
+                f"{HITL}/session_2users/gen2/11.json.gz",
+                "hitl/my_session.gfx_replay.json",
+            )
+        ),
     ],
 )
 def test_the_agent_is_seen_in_recorded_sessions(real: Path, name: str) -> None:

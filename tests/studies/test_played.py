@@ -51,6 +51,7 @@ def copied(study: Path, folder: Path) -> Path:
     return folder / study.name
 
 
+@pytest.mark.slow
 def test_status_says_who_is_where(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = StudyStatus(study).run().data
     assert data["statuses"]["complete"] == 2
@@ -134,6 +135,7 @@ def test_each_trial_is_a_row_with_its_place_time_and_metrics(study: Path, tmp_pa
         assert (folder / row["recording"]).is_file()
 
 
+@pytest.mark.slow
 def test_the_page_groups_recordings_by_condition_and_names_no_folder_of_the_machine(
     study: Path, tmp_path: Path
 ) -> None:

@@ -257,6 +257,7 @@ def test_a_bank_is_drawn_home_by_home(episodes: Sequence[RearrangeEpisode], tmp_
         with_scenes(replace(bank, names=()), tmp_path / "bank.npz")
 
 
+@pytest.mark.slow
 def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], tmp_path: Path, short: None) -> None:
     bank, file = RearrangeBank.of([replace(e, spec=SHORT) for e in episodes]), tmp_path / "bank.npz"
     save_bank(bank, file, drawn_by=drawn_by(DRAWN))

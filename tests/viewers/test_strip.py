@@ -106,6 +106,7 @@ def test_paths_end_at_their_moment(recording: Recording, monkeypatch: pytest.Mon
         assert (plan[:, :width] == color).all(-1).any()
 
 
+@pytest.mark.slow
 def test_the_command_writes_one(recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import cv2
 

@@ -62,6 +62,7 @@ def test_a_home_comes_back_whole(home: str, ending: str, tmp_path: Path) -> None
     assert_same(scene, h3data.load_scene(file))  # of the cache
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_scenes_are_named_by(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "home.usdz"
     assert main(["scenes", "export", "small:3", "--to", "usd", "-o", str(out)]) == 0

@@ -42,6 +42,7 @@ MOVES = (
 MOVES_DIGEST = "b8169aed82264ae9"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "outfit", [pytest.param(n, marks=() if n in ("casual", "dress") else pytest.mark.slow) for n in OUTFITS]
 )

@@ -54,6 +54,7 @@ def recording(episode: RearrangeEpisode) -> Recording:
     return simulate(REARRANGE, episode.only(1), {"human": "both"}, info={"solo_steps": 1})
 
 
+@pytest.mark.slow
 def test_a_planner_opens_the_doors_on_its_way(recording: Recording) -> None:
     assert recording.episode.info["ended"] == "success"
     opened = [span.target for span in recording.skills if span.name == "open" and span.outcome == "done"]

@@ -72,7 +72,7 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         (RULES, HOMES),
         (replace(RULES, person_contact="bones"), HOMES),
         pytest.param(STRIDES, HOMES, marks=pytest.mark.slow),
-        (STRIDES, ["h3-homes/train#0", "h3-homes-v2/train#6"]),
+        pytest.param(STRIDES, ["h3-homes/train#0", "h3-homes-v2/train#6"], marks=pytest.mark.slow),
     ],
     ids=["paper", "bones", "natural", "both generations"],
 )
