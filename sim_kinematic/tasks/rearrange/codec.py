@@ -255,12 +255,8 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         try:
             rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
             rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
-            rules = {
-                "robot": {},
-                "human": {},
-                "people_give_way": False,
-                **rules,
-            }  # as in versions that had no such rules
+            # as in versions that had no such rules
+            rules = {"robot": {}, "human": {}, "people_give_way": False, **rules}
             spec = msgspec.convert(rules, self.task.Spec)
             goals = msgspec.convert(info["goals"], list[StoredGoal])
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
