@@ -62,11 +62,16 @@ class Target:
             return "colours of depth, to look at" if self.output == "depth" else "one colour for each id, to look at"
         return "z-depth in millimetres, 0 = nothing hit" if self.output == "depth" else "id + 1, 0 = nothing hit"
 
-    def open(self, camera: Camera, fps: float, picture: ToPicture) -> AbstractContextManager[Sink]:
-        """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs."""
+    def open(
+        self, camera: Camera, fps: float, picture: ToPicture, *, encoder_threads: int = 1
+    ) -> AbstractContextManager[Sink]:
+        """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs.
+
+        ``encoder_threads`` is the number of threads of an H.264 encoder, on which the bytes of the file depend.
+        """
         if self.form == "png":
             return _open_folder(self.path, picture, ids=self.output in ("instance", "semantic"))
-        return _open_video(self, camera, fps, picture)
+        return _open_video(self, camera, fps, picture, encoder_threads)
 
 
 class Sink(Protocol):
@@ -94,11 +99,14 @@ class _VideoSink:
 
 
 @contextmanager
-def _open_video(target: Target, camera: Camera, fps: float, picture: ToPicture) -> Iterator[Sink]:
+def _open_video(
+    target: Target, camera: Camera, fps: float, picture: ToPicture, encoder_threads: int
+) -> Iterator[Sink]:
     from h3data.render import VideoWriter
 
     assert target.form != "png"
-    with VideoWriter(target.path, camera.width, camera.height, fps, codec=target.form) as writer:
+    size = camera.width, camera.height
+    with VideoWriter(target.path, *size, fps, codec=target.form, threads=encoder_threads) as writer:
         yield _VideoSink(writer, picture)
 
 

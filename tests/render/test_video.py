@@ -47,15 +47,15 @@ def test_a_video_reads_back(tmp_path: Path, size):
         assert np.abs(picture[:height, :width].astype(int) - frame(k, width, height)).mean() < 6
 
 
-@pytest.mark.parametrize("codec", ["h264", "av1", "ffv1"])
-def test_the_same_frames_make_the_same_file(tmp_path: Path, codec):
+@pytest.mark.parametrize(("codec", "threads"), [("h264", 1), ("h264", 3), ("av1", 1), ("ffv1", 1)])
+def test_the_same_frames_make_the_same_file(tmp_path: Path, codec, threads):
     rng = np.random.default_rng(1)
     suffix = "mkv" if codec == "ffv1" else "mp4"
     frames = [
         rng.integers(0, 65536, (48, 64)).astype(np.uint16) if codec == "ffv1" else frame(k, 64, 48) for k in range(9)
     ]
     for name in ("a", "b"):
-        with VideoWriter(tmp_path / f"{name}.{suffix}", 64, 48, codec=codec) as video:
+        with VideoWriter(tmp_path / f"{name}.{suffix}", 64, 48, codec=codec, threads=threads) as video:
             for image in frames:
                 video.write(image)
     assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()

@@ -46,8 +46,8 @@ def render_files(
     """
     from h3data.replay.stage import WORLDS, chosen_backend
 
-    # a GPU draws many steps at once, and the next ones while these are encoded
-    queue_length = WORLDS if chosen_backend(backend) == "gpu" else 4
+    # a GPU draws many steps at once, and the next ones while these are encoded; one thread of x264 is slower than the GPU
+    queue_length, encoder_threads = (WORLDS, 3) if chosen_backend(backend) == "gpu" else (4, 1)
     outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
     fps = frames_per_second(replay, steps)
     with ExitStack() as stack:
@@ -55,7 +55,7 @@ def render_files(
         for n, (track, targets) in enumerate(views):
             for target in targets:
                 picture = _picture(replay, track, target, steps[0], annotate=annotate)
-                sink = stack.enter_context(target.open(track.camera, fps, picture))
+                sink = stack.enter_context(target.open(track.camera, fps, picture, encoder_threads=encoder_threads))
                 sinks.append((n, target.output, sink))
                 if target.colored:
                     encoders.append(stack.enter_context(_InOrder(sink.write, queue_length)))
