@@ -71,8 +71,9 @@ export class Hud {
         return [term, Object.assign(document.createElement("dd"), { textContent: say(`help_${name}`) })];
       }),
     );
-    const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints", (things || joints) && "help_touch"];
+    const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : ""].join(" ").trim());
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {

@@ -278,7 +278,7 @@ async function layout() {
       await look("a reason");
       lives.push(await said());
       await shot("_reason");
-      await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Stop taking part'; 0");
+      await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Dejar de participar en el estudio'; 0");
       await look("all buttons");
       await player.ask("document.getElementById('button-pause').hidden = true; 0");
       if (Object.keys(found).length) faults[`${width}x${height} ${touch ? "touch" : "mouse"}`] = found;
@@ -323,9 +323,10 @@ async function hands() {
   await player.started();
   const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
   const toasts = {};
-  for (const key of ["q", "g", "f"]) {
+  const goals = await player.ask("probe.game.manifest.goals.length");
+  for (const key of ["q", "g", ...(goals ? [] : ["f", "c"])]) {
     await player.ask("document.getElementById('toast').textContent = ''; 0");
-    if (key !== "f" || !(await player.ask("probe.game.manifest.goals.length"))) await player.press(key);
+    await player.press(key);
     await player.nap(300);
     toasts[key] = await text("toast");
   }
