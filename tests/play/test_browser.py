@@ -207,6 +207,8 @@ def test_a_drawer_is_opened_by_a_click_and_something_is_taken_out(tmp_path: Path
     with Server(tmp_path / "out", scenes="small-open:2", seed=5) as server:
         said = play("drawer", server.links[0], tmp_path)
     assert "shut in" in said["todo"]
+    assert "◧" in said["chips"]
+    assert "O" not in said["chips"], "a key is no hint to somebody with a mouse"
     travel = said["open"] - said["shut"]
     assert travel > 0.3
     assert said["moved"] == pytest.approx(travel, abs=0.01), "the thing in it comes along"
@@ -265,7 +267,7 @@ def test_what_is_said_has_a_place_of_its_own_at_any_size(tmp_path: Path) -> None
     from tests.play.server import Server
 
     plan = {"app": "language_progress", "partner": "language_talk", "rules": {"template": "wash_and_put"}}
-    for size in ("1280x720", "844x390", "390x844"):
+    for size in ("1280x720", "844x390", "390x844", "800x1280", "320x568"):
         with Server(tmp_path / size, scenes="h3-homes/val#3", **plan) as server:
             assert play("wordsAt", f"{server.links[0]}@{size}", tmp_path)["boxes"] == []
 

@@ -424,6 +424,8 @@ async function drawer() {
   await player.until(`Math.abs(${state}.joints[${joint}] - ${shut}) > 0.15`, "the drawer to move", 60_000);
   await player.shot(picture("during"));
   await player.idle();
+  await player.drawn(3);
+  const chips = await player.ask("[...document.querySelectorAll('#marks .mark:not([hidden]) .chip')].map((chip) => chip.textContent)");
   const [open, is] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
   const place = `probe.game.world.things[${thing}].position`;
   await clickOn(player, place, `target.thing === ${thing}`, "open");
@@ -438,7 +440,7 @@ async function drawer() {
   await player.nap(500);
   const still = await player.ask(`${state}.joints[${joint}]`);
   const moved = Math.hypot(...is.map((value, k) => value - was[k]));
-  return { todo, shut, open, moved, held, reason, still, ...(await player.close()) };
+  return { todo, chips, shut, open, moved, held, reason, still, ...(await player.close()) };
 }
 
 /** A closed door: a click opens it, and then a way leads through it, which the page predicts. */
