@@ -140,9 +140,11 @@ def test_every_package_that_make_dev_and_make_docs_install_is_pinned() -> None:
 
 
 def test_compiled_kernels_are_an_extra_and_no_dependency() -> None:
-    """A dependency on what is on no index would make ``pip install .`` fail where the kernels are for; see docs/rendering.md."""
+    """A dependency on what is on no index makes ``pip install .`` fail where the kernels are for: docs/rendering.md."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    kernels = tomllib.loads((ROOT / "pipelines" / "h3data_kernels" / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    kernels = tomllib.loads((ROOT / "pipelines" / "h3data_kernels" / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     assert not [one for one in project["dependencies"] if "kernels" in one]
     named = [extra for extra, packages in project["optional-dependencies"].items() if "h3data-kernels" in str(packages)]
     assert named == ["kernels"], "neither setup nor dev fetches it"
@@ -156,4 +158,6 @@ def test_compiled_kernels_are_an_extra_and_no_dependency() -> None:
     pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert set(kernels["dependencies"]) <= set(pinned), "the numba of make setup"
     folders = [path.name for path in (ROOT / "pipelines" / "h3data_kernels").glob("cpython-*")]
-    assert folders == [f"cpython-311-numba{Requirement(kernels['dependencies'][0]).specifier}-linux-x86-64-v3".replace("==", "")]
+    assert folders == [
+        f"cpython-311-numba{Requirement(kernels['dependencies'][0]).specifier}-linux-x86-64-v3".replace("==", "")
+    ]
