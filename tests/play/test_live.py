@@ -258,7 +258,8 @@ def test_follow_me(tmp_path: Path):
     player.send(k="goto", p=[float(place[0]), 0.0, float(place[1])])
     player.play(3)
     assert player.busy
-    assert "robot" in game.app.hud(player.number).lines[0]
+    said = [game.app.hud(number).lines[0] for number in (player.number, -1)]
+    assert [" you (" in line for line in said] == [True, False], "who watches reads of the person"
     state = game.state(player.number, 0.0, whole=True)
     assert len(state) == 16 + (12 + 2 * 20) + (12 + 28 + 84)
     game.close()

@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from tests.paths import ROOT
 
@@ -136,3 +137,27 @@ def test_every_package_that_make_dev_and_make_docs_install_is_pinned() -> None:
     }
     assert not wanted - pinned
     assert not [line for line in lines if "://" in line or line.startswith("-")], "no index is named"
+
+
+def test_compiled_kernels_are_an_extra_and_no_dependency() -> None:
+    """A dependency on what is on no index makes ``pip install .`` fail where the kernels are for: docs/rendering.md."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    kernels = tomllib.loads((ROOT / "pipelines" / "h3data_kernels" / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    assert not [one for one in project["dependencies"] if "kernels" in one]
+    named = [extra for extra, packages in project["optional-dependencies"].items() if "h3data-kernels" in str(packages)]
+    assert named == ["kernels"], "neither setup nor dev fetches it"
+    (extra,) = map(Requirement, project["optional-dependencies"]["kernels"])
+    assert str(extra.specifier) == f"=={kernels['version']}" == f"=={project['version']}"
+    assert extra.marker is not None
+    there = {"sys_platform": "linux", "platform_machine": "x86_64", "python_version": "3.11"}
+    assert extra.marker.evaluate(there)
+    for other in ({"sys_platform": "darwin"}, {"platform_machine": "aarch64"}, {"python_version": "3.13"}):
+        assert not extra.marker.evaluate({**there, **other}), "files are for one system, processor and Python"
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert set(kernels["dependencies"]) <= set(pinned), "the numba of make setup"
+    folders = [path.name for path in (ROOT / "pipelines" / "h3data_kernels").glob("cpython-*")]
+    assert folders == [
+        f"cpython-311-numba{Requirement(kernels['dependencies'][0]).specifier}-linux-x86-64-v3".replace("==", "")
+    ]

@@ -36,6 +36,7 @@ def test_a_study_is_played_from_consent_to_the_completion_code(tmp_path: Path) -
     assert said["stages"].count("form") == 4
     assert "C1A2B3C4" in said["text"]
     assert said["warned"], "questions left open are pointed out"
+    assert said["slider"] > 150, "px, on a phone of 320"
     assert said["paused"] == "Paused"
     assert said["resumed"]
     assert "PROLIFIC" not in said["address"], "ids leave the address bar"

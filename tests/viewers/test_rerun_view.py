@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import resource
 import sys
 from dataclasses import replace
@@ -271,6 +272,15 @@ def test_the_window_opens_paused_with_its_layout_before_its_meshes(tmp_path):
     assert states == [[PlayState.Paused.value]]
     content = path.read_bytes()
     assert 0 < content.index(b"time_panel") < content.index(b"SeriesLines:") < content.index(b"world/scene/floor")
+
+
+def test_a_view_shows_how_far_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("h3data.progress.LINE_EVERY_S", 0.0)
+    recording = example()
+    write_rrd(recording, tmp_path / "episode.rrd", replay=Stage(recording))
+    said = capsys.readouterr().err
+    assert re.search(r"write poses: \d+ of \d+ blocks", said)
+    assert re.search(r"write skins: \d+ of \d+ poses", said)
 
 
 def test_encounter_lane():

@@ -319,6 +319,14 @@ def test_the_same_recording_gives_the_same_file(walk: Recording, walked: Path, t
 
 # --- refused ----------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
+def test_a_replay_shows_how_far_it_is(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("h3data.progress.LINE_EVERY_S", 0.0)
+    write_html(walk, tmp_path / "again.html")
+    assert re.search(r"write tracks: \d+ of \d+ things", capsys.readouterr().err)
+
+
 def test_existing_files_are_kept(walk: Recording, tmp_path: Path) -> None:
     (tmp_path / "e.html").write_text("mine")
     with pytest.raises(InputError, match="H3-VIEW-001"):

@@ -25,5 +25,6 @@ class FollowMeApp(App):
             task = f"Find the person and follow them at {spec.near_m:g} to {spec.far_m:g} m, facing them."
         else:
             task = "Walk about as you like. The robot has to find you and follow you."
-        found = "The robot has found the person" if state.found[0] else "The robot is looking for the person"
-        return Hud(task=task, left_s=self.left_s, lines=(f"{found} ({metres:.0f} m).",))
+        found = "The robot has found" if state.found[0] else "The robot is looking for"
+        whom = "you" if number >= 0 and session.episode.roster[number].kind == "human" else "the person"
+        return Hud(task=task, left_s=self.left_s, lines=(f"{found} {whom} ({metres:.0f} m).",))

@@ -1,7 +1,7 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { deed, hints, holderText, situation, thumbText, type Barriers, type Seen, type Situation } from "./player/actions.ts";
+import { busyHints, deed, hints, holderText, situation, thumbText, useKey, type Barriers, type Seen, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Deeds } from "./screen/deeds.ts";
@@ -66,6 +66,10 @@ export class Game {
   private aim: { point: Vector3; fits: boolean | null; why: string; askedAt: number } | null = null;
   private walkTo: Vector3 | null = null;
   private ended = false;
+  /** Whether a person is played: only they sit down, drop things and hand them over. */
+  private readonly person: boolean;
+  /** Whether there is anything for hands in this home. */
+  private readonly hands: boolean;
 
   private readonly life = new AbortController();
 
@@ -108,8 +112,11 @@ export class Game {
     hud.on("button-talk", () => this.talk.toggle(), signal);
     if (agent) void this.offerHeadset(agent.drive);
     const robot = manifest.agents.some((other, k) => other.kind === "robot" && k !== manifest.me);
+    this.person = agent?.kind === "human";
+    this.hands = !!agent && manifest.objects.length + manifest.joints.length > 0;
     const things = !!agent && manifest.objects.length > 0;
-    hud.offers(things, !!agent && manifest.joints.length > 0, robot, things && manifest.spots.length > 0, manifest.phrases.length > 0);
+    const joints = !!agent && manifest.joints.length > 0;
+    hud.offers({ things, joints, person: this.person, robot, places: things && manifest.spots.length > 0, talk: manifest.phrases.length > 0 });
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize(), { signal });
     this.resize();
@@ -186,7 +193,10 @@ export class Game {
     else if (wish === "do") this.deeds.open(now.held >= 0 ? now.held : now.next);
     else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
-    else if (wish === "sit") this.net.send({ k: "sit" });
+    else if (wish === "sit") {
+      if (this.hands && this.person) this.net.send({ k: "sit" });
+      else this.hud.toast(say("no_sitting"));
+    }
     else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
       else this.hud.toast(say("nothing_opens"));
@@ -197,7 +207,8 @@ export class Game {
     if (!this.manifest.objects.length) this.hud.toast(say("nothing_to_take"));
     else if (now.held < 0) this.refused(say("empty_hand"));
     else if (wish === "drop") this.net.send({ k: "drop" });
-    else if (now.robot >= 0) this.net.send({ k: "give", a: now.robot });
+    // the server says to a robot that it hands nothing over
+    else if (now.robot >= 0 || !this.person) this.net.send({ k: "give", a: Math.max(now.robot, 0) });
     else this.refused(say("no_robot"));
   }
 
@@ -369,12 +380,11 @@ export class Game {
     this.hud.time(state.step * this.manifest.dt);
     const plays = this.steering && !this.ended;
     const { device } = this.input;
-    const busy: [string, string][] = device === "keys" || device === "mouse" ? [[say("steer_key"), say("steer_again")]] : [];
     const useful = this.useful(now);
     const use: [string, string][] =
-      useful < 0 ? [] : [["R", say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
-    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...(device === "touch" ? [] : use)];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : can, device);
+      useful < 0 || !useKey(device) ? [] : [[useKey(device), say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
+    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...use];
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busyHints(device) : can, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };

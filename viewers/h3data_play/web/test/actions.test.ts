@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Manifest } from "../src/link/manifest.ts";
 import type { State } from "../src/link/wire.ts";
-import { deed, hints, situation, turnText, type Barriers, type Seen, type Situation } from "../src/player/actions.ts";
+import { busyHints, deed, hints, situation, turnText, useKey, type Barriers, type Seen, type Situation } from "../src/player/actions.ts";
 
 const DOOR = { name: "fridge/door", label: "fridge door", parent: -1, kind: 1, rest: 0, closed: 0, opened: 1.5, nodes: [] };
 const MANIFEST = {
@@ -91,4 +91,14 @@ test("who clicks or taps is told of clicks and buttons, not of keys", () => {
       for (const [key] of hints(now, MANIFEST, state, device, null)) assert.ok(!["E", "F", "G", "O", "Q"].includes(key), `${device}: ${key}`);
   assert.deepEqual(hints(far, MANIFEST, state, "mouse", null), [["Click", "on the mug to walk there and take it"]]);
   assert.deepEqual(hints(far, MANIFEST, state, "touch", null), [["Fetch", "walk to the mug and take it"]]);
+});
+
+test("who is walked by the server is told how to go elsewhere by what they act with", () => {
+  const said = ["keys", "mouse", "touch", "pad"].map((device) => busyHints(device));
+  const elsewhere = "on the floor to walk there instead";
+  assert.deepEqual(said, [[["W", "to steer yourself again"]], [["Click", elsewhere]], [["Tap", elsewhere]], []]);
+});
+
+test("what is used is used by a key only by who has keys", () => {
+  assert.deepEqual(["keys", "mouse", "touch", "pad"].map(useKey), ["R", "Do", "Do", ""]);
 });

@@ -144,6 +144,17 @@ export function hints(
   return parts;
 }
 
+/** What whom the server walks can do about it. */
+export function busyHints(device: string): [string, string][] {
+  if (device === "keys") return [[say("steer_key"), say("steer_again")]];
+  return device === "pad" ? [] : [[say(device === "touch" ? "tap" : "click"), say("click_elsewhere")]];
+}
+
+/** The key, or the button of the page, that cleans, fills, pours out or switches what is near; a gamepad has none. */
+export function useKey(device: string): string {
+  return device === "keys" ? "R" : device === "pad" ? "" : say("do");
+}
+
 /** The same for somebody with a mouse. */
 function clicks(now: Situation, manifest: Manifest, state: State): [string, string][] {
   const does: string[] = [];

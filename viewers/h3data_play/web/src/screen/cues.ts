@@ -17,6 +17,9 @@ const OVER_M = 0.22;
 /** Of the frames, one in so many draws the map. */
 const MAP_FRAMES = 4;
 
+/** What opens doors and drawers, for who has keys or a gamepad; others click or tap. */
+const JOINT_KEYS: Record<string, string> = { keys: "O", pad: "LB" };
+
 /** What agents have just said, and until when it is shown. */
 type Bubbles = ReadonlyMap<number, { text: string; until: number }>;
 /** Bubbles stand this high over the floor, m. */
@@ -117,7 +120,7 @@ export class Cues {
       const handle = this.world.joints.handles[joint]!;
       const far = Math.hypot(handle.x - own.x, handle.z - own.z);
       const text = turnText(this.manifest, state, joint);
-      marks.push({ point: handle.clone(), text, thing: MARKER, near: far < NEAR_M, far, chip: "O", tone: JOINT });
+      marks.push({ point: handle.clone(), text, thing: MARKER, near: far < NEAR_M, far, chip: JOINT_KEYS[document.body.dataset.device ?? ""] ?? "◧", tone: JOINT });
     }
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];

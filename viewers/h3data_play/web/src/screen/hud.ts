@@ -14,6 +14,17 @@ export interface TodoItem {
   done: boolean;
 }
 
+/** What there is in a home: things to carry, doors and drawers, a robot to give things to, places by name, others to talk to. */
+interface Offers {
+  things: boolean;
+  joints: boolean;
+  /** Whether the player is a person, not a robot. */
+  person: boolean;
+  robot: boolean;
+  places: boolean;
+  talk: boolean;
+}
+
 /** What the help lists: keys, and the name of the words that say what they do. */
 const KEYS: [string[], string][] = [
   [["W", "A", "S", "D"], "walk"], [["Shift"], "slow"], [["E"], "act"], [["F"], "goto"], [["O"], "turn"], [["Q"], "drop"],
@@ -45,12 +56,14 @@ export class Hud {
     this.device(matchMedia("(pointer: coarse)").matches ? "touch" : "keys");
   }
 
-  /** What there is to do in this home: things to carry, doors and drawers, a robot to give things to, places by name, others to
-   * talk to. */
-  offers(things: boolean, joints: boolean, robot: boolean, places: boolean, talk: boolean): void {
+  /** What there is to do in this home. */
+  offers({ things, joints, person, robot, places, talk }: Offers): void {
     document.body.toggleAttribute("data-hands", things || joints);
-    const absent = new Set([...(things ? [] : ["act", "goto", "drop"]), ...(joints ? [] : ["turn"]), ...(things || joints ? [] : ["sit"]), ...(things && robot ? [] : ["give"]), ...(places ? [] : ["use", "do"]), ...(talk ? [] : ["talk"])]);
-    const rows = KEYS.filter(([, name]) => !absent.has(name));
+    const there: Record<string, boolean> = {
+      act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot, sit: (things || joints) && person,
+      use: places, do: places, talk,
+    };
+    const rows = KEYS.filter(([, name]) => there[name] ?? true);
     $("keys").replaceChildren(
       ...rows.flatMap(([keys, name]) => {
         const term = document.createElement("dt");
@@ -58,8 +71,9 @@ export class Hud {
         return [term, Object.assign(document.createElement("dd"), { textContent: say(`help_${name}`) })];
       }),
     );
-    const told = ["help_pointing", things && "help_things", joints && "help_joints", (things || joints) && "help_touch"];
+    const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : ""].join(" ").trim());
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {

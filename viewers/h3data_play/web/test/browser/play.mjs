@@ -209,7 +209,11 @@ async function sizes() {
   return { inside: overflow.every(Boolean), help, ...(await zoomed.close()) };
 }
 
-const SIZES = [[1280, 800, false], [844, 390, true], [390, 844, true], [320, 568, true]];
+/** Windows for a mouse, and screens for fingers. */
+const SIZES = [
+  [false, [[1280, 800], [800, 1280], [640, 360], [568, 320], [390, 844], [320, 568]]],
+  [true, [[844, 390], [390, 844], [568, 320], [320, 568], [768, 1024]]],
+];
 
 /** Parts of the page that lie on each other, are cut, or stick out of the window; run in the page. */
 const LAYOUT = `(() => {
@@ -227,6 +231,10 @@ const LAYOUT = `(() => {
       if (wide > 0.5 && high > 0.5 && !a.contains(b)) faults.push(name(a) + " lies on " + name(b));
     }
   });
+  for (const id of ["hint", "toast"]) {
+    const node = document.getElementById(id);
+    if (node.clientHeight > 4.9 * parseFloat(getComputedStyle(node).lineHeight)) faults.push(id + " is squeezed into a column");
+  }
   const task = document.getElementById("task");
   if (task.scrollHeight > task.clientHeight + 1) faults.push("the task is cut");
   return faults;
@@ -249,38 +257,42 @@ async function layout() {
   const faults = {};
   const rings = {};
   const lives = [];
-  let player;
-  for (const [k, [width, height, touch]] of SIZES.entries()) {
-    if (k < 2) player = await openPage(url, { width, height, touch });
-    else await player.page.setViewportSize({ width, height });
-    if (k < 2) await player.started();
-    await player.drawn(6);
-    const found = {};
-    const look = async (what) => {
-      await player.drawn(6);
-      const seen = await player.ask(LAYOUT);
-      if (seen.length) found[what] = seen;
-    };
-    const said = () => player.ask("(({ id, role, textContent, offsetParent }) => [role, textContent, getComputedStyle(document.getElementById('said')).display])(document.getElementById('said') ?? document.getElementById('toast'))");
-    await look("playing");
-    await player.shot(picture(`${width}x${height}`));
-    await player.ask("probe.game.refused('There is nowhere to stand from which it could be put there.'); 0");
-    await look("a reason");
-    lives.push(await said());
-    await player.shot(picture(`${width}x${height}_reason`));
-    await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Stop taking part'; 0");
-    await look("all buttons");
-    await player.ask("document.getElementById('button-pause').hidden = true; 0");
+  let stats;
+  for (const [touch, sizes] of SIZES) {
+    const player = await openPage(url, { width: sizes[0][0], height: sizes[0][1], touch });
+    await player.started();
+    await player.ask(`probe.game.input.device = "${touch ? "touch" : "mouse"}"; 0`);
+    for (const [width, height] of sizes) {
+      await player.page.setViewportSize({ width, height });
+      const found = {};
+      const look = async (what) => {
+        await player.drawn(3);
+        const seen = await player.ask(LAYOUT);
+        if (seen.length) found[what] = seen;
+      };
+      const shot = (what) => player.shot(picture(`${width}x${height}_${touch ? "touch" : "mouse"}${what}`));
+      const said = () => player.ask("(({ id, role, textContent, offsetParent }) => [role, textContent, getComputedStyle(document.getElementById('said')).display])(document.getElementById('said') ?? document.getElementById('toast'))");
+      await look("playing");
+      await shot("");
+      await player.ask("probe.game.refused('There is nowhere to stand from which it could be put there.'); 0");
+      await look("a reason");
+      lives.push(await said());
+      await shot("_reason");
+      await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Dejar de participar en el estudio'; 0");
+      await look("all buttons");
+      await player.ask("document.getElementById('button-pause').hidden = true; 0");
+      if (Object.keys(found).length) faults[`${width}x${height} ${touch ? "touch" : "mouse"}`] = found;
+    }
     await player.ask("document.activeElement.blur(); 0");
     for (let n = 0; n < 12; n++) {
       await player.press("Tab", 20);
       const [id, contrast] = await player.ask(RING);
       if (id) rings[id] = contrast;
     }
-    if (Object.keys(found).length) faults[`${width}x${height}`] = found;
-    if (k === 0) await player.close();
+    stats = await player.close();
+    if (stats.faults.length) break;
   }
-  return { layout: faults, rings, lives, ...(await player.close()) };
+  return { layout: faults, rings, lives, ...stats };
 }
 
 /**
@@ -311,9 +323,10 @@ async function hands() {
   await player.started();
   const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
   const toasts = {};
-  for (const key of ["q", "g", "f"]) {
+  const goals = await player.ask("probe.game.manifest.goals.length");
+  for (const key of ["q", "g", ...(goals ? [] : ["f", "c"])]) {
     await player.ask("document.getElementById('toast').textContent = ''; 0");
-    if (key !== "f" || !(await player.ask("probe.game.manifest.goals.length"))) await player.press(key);
+    await player.press(key);
     await player.nap(300);
     toasts[key] = await text("toast");
   }
@@ -411,6 +424,8 @@ async function drawer() {
   await player.until(`Math.abs(${state}.joints[${joint}] - ${shut}) > 0.15`, "the drawer to move", 60_000);
   await player.shot(picture("during"));
   await player.idle();
+  await player.drawn(3);
+  const chips = await player.ask("[...document.querySelectorAll('#marks .mark:not([hidden]) .chip')].map((chip) => chip.textContent)");
   const [open, is] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
   const place = `probe.game.world.things[${thing}].position`;
   await clickOn(player, place, `target.thing === ${thing}`, "open");
@@ -425,7 +440,7 @@ async function drawer() {
   await player.nap(500);
   const still = await player.ask(`${state}.joints[${joint}]`);
   const moved = Math.hypot(...is.map((value, k) => value - was[k]));
-  return { todo, shut, open, moved, held, reason, still, ...(await player.close()) };
+  return { todo, chips, shut, open, moved, held, reason, still, ...(await player.close()) };
 }
 
 /** A closed door: a click opens it, and then a way leads through it, which the page predicts. */

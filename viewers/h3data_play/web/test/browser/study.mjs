@@ -51,6 +51,8 @@ async function learn() {
 }
 
 let warned = true;
+/** Width of a questionnaire's slider on a small phone, px. */
+let slider = 0;
 let paused = "";
 let resumed = false;
 for (let k = 0; k < 40; k++) {
@@ -67,6 +69,12 @@ for (let k = 0; k < 40; k++) {
   if (kind === "consent") await press("I agree");
   else if (kind === "form") {
     warned = (await fill()) && warned;
+    if (!slider && (await page.locator("#study input[type=range]").count())) {
+      await page.setViewportSize({ width: 320, height: 568 });
+      slider = await player.ask("Math.min(...[...document.querySelectorAll('#study input[type=range]')].map((node) => node.getBoundingClientRect().width))");
+      await shot("form_narrow");
+      await page.setViewportSize({ width: 1000, height: 720 });
+    }
     await shot(`form_${k}`);
     await press("Send");
   } else {
@@ -96,4 +104,4 @@ await shot("end");
 const text = await player.ask("document.querySelector('#study section.card').innerText");
 const address = await player.ask("location.search");
 const { faults } = await player.close();
-console.log(JSON.stringify({ stages, text, warned, paused, resumed, address, faults }));
+console.log(JSON.stringify({ stages, text, warned, slider, paused, resumed, address, faults }));
