@@ -148,11 +148,10 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
 
 def fetch(builder: Any, address: Any) -> None:
     """Asks for the cache line at ``address``, which may lie anywhere."""
-    byte = ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [byte, INT, INT, INT])
+    kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, INT, INT, INT])
     function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-    read, all_levels, data = (ir.Constant(INT, k) for k in (0, 3, 1))
-    builder.call(function, [builder.inttoptr(address, byte), read, all_levels, data])
+    # to read, into all levels, data
+    builder.call(function, [builder.inttoptr(address, cgutils.voidptr_t), *(ir.Constant(INT, k) for k in (0, 3, 1))])
 
 
 def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:

@@ -354,17 +354,13 @@ def set_rays(rays, lane, view, axes, u, v, step):
     ``axes`` are those of the directions.
     """
     for k in range(3):
+        aside = view.axes[k, 0] if view.parallel else 0.0
+        beside = aside * u + (view.axes[k, 1] * v if view.parallel else 0.0)
         origin, direction = np.float32(view.eye[k]), np.float32(axes[k, 0] * u + axes[k, 1] * v + axes[k, 2])
-        sideways, turned = np.float32(0), np.float32(axes[k, 0] * step)
-        if view.parallel:
-            origin = np.float32(origin + (view.axes[k, 0] * u + view.axes[k, 1] * v))
-            sideways = np.float32(view.axes[k, 0] * step)
+        origin, across, turned = np.float32(origin + beside), np.float32(aside * step), np.float32(axes[k, 0] * step)
         for other in range(lane, LANES):
-            beyond = np.float32(other - lane)
-            rays[ORIGIN + k, other], rays[DIRECTION + k, other] = (
-                origin + sideways * beyond,
-                direction + turned * beyond,
-            )
+            rays[ORIGIN + k, other] = origin + across * np.float32(other - lane)
+            rays[DIRECTION + k, other] = direction + turned * np.float32(other - lane)
 
 
 @kernel_part()

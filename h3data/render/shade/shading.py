@@ -324,9 +324,9 @@ def _shade_image(
                         places[0, count], places[1, count] = x, alike
                         set_rays(rays, count, view, axes, u1, v1, 0.0)
                         count += 1
-                        continue
-                    for a in range(3):
-                        strip[a, x] += sample[a, 0] * alike
+                    else:
+                        for a in range(3):
+                            strip[a, x] += sample[a, 0] * alike
             else:
                 u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
                 low, high = x, end
@@ -350,10 +350,9 @@ def _shade_image(
             x = end
         if fine:
             _dim_waiting(cast, waited, rays, behind, waiting, scratch, places, count, strip)
-            for x in range(width):
-                if row[x] == _MIXED:
-                    for a in range(3):
-                        strip[a, x] >>= 2
+            for a in range(3):
+                for x in range(width):
+                    strip[a, x] >>= 2 if row[x] == _MIXED else 0
         if strength > 0:
             line_at = inv_z_at + np.uintp(y * factor) * inv_z_bytes
             if fine:
@@ -403,9 +402,12 @@ def _shade_image(
 def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, strip):
     """Dims ``count`` samples by the capsules of a tile and adds them to their pixels of a strip."""
     if count:
-        near_at, waiting_at = np.uintp(behind.ctypes.data), np.uintp(waiting.ctypes.data)
-        row_bytes = np.uintp(waiting.shape[1] * 4)
-        block_pixels(cast, tile, rays, near_at, near_at + row_bytes, np.float32(-1), waiting_at, row_bytes, scratch)
+        near_at, at, row_bytes = (
+            np.uintp(behind.ctypes.data),
+            np.uintp(waiting.ctypes.data),
+            np.uintp(waiting.shape[1] * 4),
+        )
+        block_pixels(cast, tile, rays, near_at, near_at + row_bytes, np.float32(-1), at, row_bytes, scratch)
         for k in range(count):
             for a in range(3):
                 strip[a, places[0, k]] += waiting[a, k] * places[1, k]
