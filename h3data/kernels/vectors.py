@@ -146,6 +146,14 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
     return value
 
 
+def fetch(builder: Any, address: Any) -> None:
+    """Asks for the cache line at ``address``, which may lie anywhere."""
+    kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, INT, INT, INT])
+    function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+    # to read, into all levels, data
+    builder.call(function, [builder.inttoptr(address, cgutils.voidptr_t), *(ir.Constant(INT, k) for k in (0, 3, 1))])
+
+
 def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
     """Writes a value to ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), value.type.as_pointer())

@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 
 from h3data.kernels import kernel
-from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, intrinsic, load, pick, spread, store
+from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, fetch, intrinsic, load, pick, spread, store
 
 
 @intrinsic
@@ -40,6 +40,10 @@ def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits
             return b.add(address, b.mul(row, ir.Constant(INT64, size)))
 
         with cgutils.for_range(b, count, intp=INT64) as loop:
+            # 64 rows ahead: the processor fetches rows by itself only up to the end of a page
+            for address, size in ((robot_at, 28), (human_at, 28), (time_at, 8)):
+                for line in range(0, size * LANES, 64):
+                    fetch(b, b.add(at(address, size), ir.Constant(INT64, 64 * size + line)))
             x, y, z, qx = _columns(b, at(robot_at, 28), 0)
             _, qy, qz, qw = _columns(b, at(robot_at, 28), 3)
             human_x, human_y, human_z, _ = _columns(b, at(human_at, 28), 0)

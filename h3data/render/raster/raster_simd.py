@@ -6,13 +6,13 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 
 from h3data.kernels.vectors import (
     INT,
     INT8,
     LANES,
     Vec,
+    fetch,
     fma,
     intrinsic,
     lanes,
@@ -98,11 +98,7 @@ def fetch_ahead(typing_context, address):
     """Asks for the cache line at ``address``, which may lie anywhere."""
 
     def codegen(context, builder, signature, arguments):
-        byte = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, INT, INT, INT])
-        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-        read, all_levels, data = (ir.Constant(INT, k) for k in (0, 3, 1))
-        builder.call(function, [builder.inttoptr(arguments[0], byte), read, all_levels, data])
+        fetch(builder, arguments[0])
         return context.get_dummy_value()
 
     return types.void(_p), codegen

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
+from h3data.kernels.vectors import LANES
 from h3data.render.raster.raster import INSTANCE, Target, View
 from h3data.render.shade.blockers_simd import (
     ALONG,
@@ -347,15 +348,19 @@ def owner_of(blockers, target, word):
 
 
 @kernel_part(forceinline=True)
-def set_rays(rays, view, axes, u, v, step):
-    """Fills the rays of a block whose first pixel looks along (u, v, 1); ``axes`` are those of the directions."""
+def set_rays(rays, lane, view, axes, u, v, step):
+    """Fills the rays from ``lane`` on, whose pixel looks along (u, v, 1), the next one along (u + step, v, 1), and so on.
+
+    ``axes`` are those of the directions.
+    """
     for k in range(3):
-        rays[ORIGIN + 2 * k], rays[ORIGIN + 2 * k + 1] = view.eye[k], 0.0
-        if view.parallel:
-            rays[ORIGIN + 2 * k] += view.axes[k, 0] * u + view.axes[k, 1] * v
-            rays[ORIGIN + 2 * k + 1] = view.axes[k, 0] * step
-        rays[DIRECTION + 2 * k] = axes[k, 0] * u + axes[k, 1] * v + axes[k, 2]
-        rays[DIRECTION + 2 * k + 1] = axes[k, 0] * step
+        aside = view.axes[k, 0] if view.parallel else 0.0
+        beside = aside * u + (view.axes[k, 1] * v if view.parallel else 0.0)
+        origin, direction = np.float32(view.eye[k]), np.float32(axes[k, 0] * u + axes[k, 1] * v + axes[k, 2])
+        origin, across, turned = np.float32(origin + beside), np.float32(aside * step), np.float32(axes[k, 0] * step)
+        for other in range(lane, LANES):
+            rays[ORIGIN + k, other] = origin + across * np.float32(other - lane)
+            rays[DIRECTION + k, other] = direction + turned * np.float32(other - lane)
 
 
 @kernel_part()

@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from h3data.kernels.vectors import FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, spread, store
+from h3data.kernels.vectors import FLOAT8, INT, INT8, LANES, Vec, intrinsic, load, spread, store
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
@@ -40,9 +40,9 @@ FADE_M, KEPT_M = 0.25, 0.1
 DARKEST = 0.22
 """Share of its light that a surface keeps when all of it is blocked; see `h3data_light.bake`."""
 
-# Float32 words of the rays of a block: origin and direction, each the value at its first pixel and the increment per pixel.
-ORIGIN, DIRECTION = 0, 6
-RAY_WORDS = 12
+# Rows of 8 words of the rays of a block: origins and directions.
+ORIGIN, DIRECTION = 0, 3
+RAY_ROWS = 6
 # Rows of 8 words of the scratch space: positions, light that is left, and of one group: light of the direction, other light.
 POSITION, LEFT, DIRECTED, AMBIENT = 0, 3, 4, 5
 SCRATCH_ROWS = 6
@@ -87,16 +87,13 @@ _p = types.uintp
 
 @intrinsic
 def begin_block(typing_context, rays_at, near_at, scratch_at):
-    """Computes the positions of 8 neighbouring pixels from their rays and 1/z; all their light is left."""
+    """Computes the positions of 8 pixels from their rays and 1/z; all their light is left."""
 
     def codegen(context, b, signature, arguments):
         rays_at, near_at, scratch_at = arguments
         z = Vec(b, load(b, near_at)).maximum(1e-9).reciprocal()
         for a in range(3):
-            origin, direction = (
-                spread(b, rays_at, first + 2 * a) + spread(b, rays_at, first + 2 * a + 1) * lanes(b)
-                for first in (ORIGIN, DIRECTION)
-            )
+            origin, direction = (_row(b, rays_at, first + a) for first in (ORIGIN, DIRECTION))
             _keep(b, origin + direction * z, scratch_at, POSITION + a)
         for row in (LEFT, DIRECTED, AMBIENT):
             _keep(b, _constant(b, 1.0), scratch_at, row)

@@ -28,7 +28,7 @@ from h3data.render.shade.blockers import (
     set_rays,
     tiled,
 )
-from h3data.render.shade.blockers_simd import RAY_WORDS, SCRATCH_ROWS
+from h3data.render.shade.blockers_simd import RAY_ROWS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
 from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, next_blocks
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
@@ -246,13 +246,14 @@ def _shade_image(
     row = np.full(width + 8, _PADDING, np.int32)
     marks = np.full(width + 8, SHADED, np.uint8)
     near = np.zeros(width + 8, np.float32)
-    owners, rays = np.zeros(width + 8, np.float32), np.zeros(RAY_WORDS, np.float32)
+    owners, rays = np.zeros(width + 8, np.float32), np.zeros((RAY_ROWS, 8), np.float32)
     scratch = np.zeros((SCRATCH_ROWS, 8), np.float32)
+    # samples at edges, of one tile of capsules, until there are eight: levels and normals; 1/z and owner; pixel and weight
+    waiting, behind, places = np.zeros((6, 8), np.int32), np.zeros((2, 8), np.float32), np.zeros((2, 8), np.int32)
     row_at, inv_z_at = np.uintp(row.ctypes.data), np.uintp(target.inv_z.ctypes.data)
     inv_z_bytes = np.uintp(target.inv_z.shape[1] * 4)
     near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
-    strip_at, sample_at = np.uintp(strip.ctypes.data), np.uintp(sample.ctypes.data)
-    strip_bytes, sample_bytes = np.uintp(strip.shape[1] * 4), np.uintp(sample.shape[1] * 4)
+    strip_at, strip_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
     words, axes = target.words, view.axes.copy()
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
@@ -272,7 +273,7 @@ def _shade_image(
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
         v = ((y + 0.5) * factor - cy) / fy
-        x = 0
+        x = count = waited = 0
         while x < width:
             word = row[x]
             end = x + 1
@@ -314,14 +315,18 @@ def _shade_image(
                         sample[a, 0] = int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
                     tile = tile_row + x // TILE_X
                     if blocked and word >= 0 and cast.first[tile] < cast.first[tile + 1]:
-                        near[0], owners[0] = cast.inv_z[sy, sx], owner_of(cast, target, word)
-                        # a single sample in a kernel for eight: no step, so that the other lanes repeat it
-                        set_rays(rays, view, axes, u1, v1, 0.0)
-                        block_pixels(cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch)
-                    for a in range(3):
-                        strip[a, x] += sample[a, 0] * alike
-                for a in range(3):
-                    strip[a, x] >>= 2
+                        if count == 8 or tile != waited:
+                            _dim_waiting(cast, waited, rays, behind, waiting, scratch, places, count, strip)
+                            count, waited = 0, tile
+                        for a in range(6):
+                            waiting[a, count] = sample[a, 0]
+                        behind[0, count], behind[1, count] = cast.inv_z[sy, sx], owner_of(cast, target, word)
+                        places[0, count], places[1, count] = x, alike
+                        set_rays(rays, count, view, axes, u1, v1, 0.0)
+                        count += 1
+                    else:
+                        for a in range(3):
+                            strip[a, x] += sample[a, 0] * alike
             else:
                 u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
                 low, high = x, end
@@ -343,6 +348,11 @@ def _shade_image(
                     if again:
                         low, high = next_blocks(marks, x, low, end)
             x = end
+        if fine:
+            _dim_waiting(cast, waited, rays, behind, waiting, scratch, places, count, strip)
+            for a in range(3):
+                for x in range(width):
+                    strip[a, x] >>= 2 if row[x] == _MIXED else 0
         if strength > 0:
             line_at = inv_z_at + np.uintp(y * factor) * inv_z_bytes
             if fine:
@@ -368,7 +378,7 @@ def _shade_image(
                     at, only = np.uintp(x * 4), owners[x]
                     for lane in range(1, 8):
                         only = only if owners[x + lane] == owners[x] else np.float32(-1)
-                    set_rays(rays, view, axes, ((x + 0.5) * factor - cx) / fx, v, pixel[0])
+                    set_rays(rays, 0, view, axes, ((x + 0.5) * factor - cx) / fx, v, pixel[0])
                     block_pixels(
                         cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
                     )
@@ -386,6 +396,21 @@ def _shade_image(
             for x in range(width):
                 for a in range(3):
                     normal[y, x, a] = normals[3 + a, x]
+
+
+@kernel_part()
+def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, strip):
+    """Dims ``count`` samples by the capsules of a tile and adds them to their pixels of a strip."""
+    if count:
+        near_at, at, row_bytes = (
+            np.uintp(behind.ctypes.data),
+            np.uintp(waiting.ctypes.data),
+            np.uintp(waiting.shape[1] * 4),
+        )
+        block_pixels(cast, tile, rays, near_at, near_at + row_bytes, np.float32(-1), at, row_bytes, scratch)
+        for k in range(count):
+            for a in range(3):
+                strip[a, places[0, k]] += waiting[a, k] * places[1, k]
 
 
 @kernel_part()

@@ -16,7 +16,7 @@ from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at
 from h3data.render.shade import blockers as module
 from h3data.render.shade import shading
 from h3data.render.shade.blockers import Blockers, Tiled, block_pixels, blocker_rows
-from h3data.render.shade.blockers_simd import DARKEST, FADE_M, KEPT_M, LEFT, RAY_WORDS, SCRATCH_ROWS, SPREAD
+from h3data.render.shade.blockers_simd import DARKEST, FADE_M, KEPT_M, LEFT, RAY_ROWS, SCRATCH_ROWS, SPREAD
 
 UP = np.array([0.0, 1, 0])
 F = np.float32
@@ -123,8 +123,7 @@ def test_eight_pixels_at_a_time_equal_the_reference_bit_by_bit() -> None:
     cast = Tiled(rows, np.zeros((0, 4), F), *lists, np.zeros((0, 0), F))
     darkest = 1.0
     for _ in range(200):
-        rays = np.zeros(RAY_WORDS, F)
-        rays[0::2], rays[1::2] = rng.normal(0, 1, 6), rng.normal(0, 0.05, 6)
+        rays = rng.normal(0, 1, (RAY_ROWS, 8)).astype(F)
         near, owners = rng.uniform(0.3, 3, 8).astype(F), rng.integers(-1, 4, 8).astype(F)
         normals = rng.normal(0, 1, (3, 8))
         normals /= np.linalg.norm(normals, axis=0)
@@ -133,9 +132,7 @@ def test_eight_pixels_at_a_time_equal_the_reference_bit_by_bit() -> None:
         strip.view(F)[3:] = normals
         levels, scratch = strip[:3].copy(), np.full((SCRATCH_ROWS, 8), np.nan, F)
         _run(cast, rays, near, owners, strip, scratch)
-        lane, z = np.arange(8, dtype=F), F(1) / near
-        origin, direction = (rays[k : k + 6 : 2, None] + rays[k + 1 : k + 6 : 2, None] * lane for k in (0, 6))
-        want = reference(rows, (origin + direction * z).T, normals.T.astype(F), owners)
+        want = reference(rows, (rays[:3] + rays[3:] * (F(1) / near)).T, normals.T.astype(F), owners)
         np.testing.assert_array_equal(scratch[LEFT], want)
         np.testing.assert_array_equal(strip[:3], (levels.astype(F) * want).astype(np.int32))
         darkest = min(darkest, float(want.min()))
