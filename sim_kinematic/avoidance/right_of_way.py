@@ -28,7 +28,6 @@ from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, dista
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
-from sim_kinematic.motion.step import wrap_angle
 
 _CALL = Entries()
 _NOWHERE = math.nan, math.nan
@@ -497,8 +496,10 @@ def _count_step(rows, counts, progress, turns, stand_off):
     near = False
     for n in range(len(rows)):
         gone = math.hypot(rows[n, 3] - rows[n, 0], rows[n, 4] - rows[n, 1])
+        # as `h3data.geometry.wrap_angle`, to the bit: whoever turns at a steady rate meets the limit exactly
+        turned = abs((rows[n, 5] - rows[n, 2] + math.pi) % (2 * math.pi) - math.pi)
         # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
-        if gone > progress or abs(wrap_angle(rows[n, 5] - rows[n, 2])) > turns:
+        if gone > progress or turned > turns:
             counts[0, n] = counts[1, n] = 0
             rows[n, 0], rows[n, 1], rows[n, 2] = rows[n, 3], rows[n, 4], rows[n, 5]
         counts[1, n] += 1
