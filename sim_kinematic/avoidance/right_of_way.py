@@ -157,7 +157,7 @@ class RightOfWay:
         """Write what agents do now into their rows."""
         for walker in walkers:
             start, hindered = self._start(walker) or _NOWHERE, len(walker.hindered_by) > 0
-            self._rows[walker.number, 3:10] = *walker.xz.tolist(), walker.heading, *start, walker.yields, hindered
+            self._rows[walker.number, 3:10] = (*walker.xz.tolist(), walker.heading, *start, walker.yields, hindered)
 
     def _all_are_clear(self) -> bool:
         """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
@@ -486,7 +486,7 @@ def _drop_reached(walker: Walker, request: _Request) -> None:
     """Count a step of a request and remove the points of its route that the agent has reached."""
     request.steps += 1
     reached = AVOIDANCE.reached_m[walker.is_robot]
-    while len(request.route) and np.hypot(*(request.route[0] - walker.xz)) <= reached:
+    while len(request.route) and math.dist(request.route[0].tolist(), walker.xz.tolist()) <= reached:
         request.route = request.route[1:]
 
 
