@@ -146,15 +146,14 @@ class GivingWay:
         if number not in self._seen:
             track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
             # a copy, because a robot's place is a view that its next step changes
-            now = self._at[number] if moved else track[count - 1].tolist()
+            now = other.xz.copy() if moved else track[count - 1]
             # who has moved in this step is one row ahead of the track: the interval is as long either way
             first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
-            seconds = STEP_S * max(count - first - (not moved), 1)
-            velocity = np.array([(a - b) / seconds for a, b in zip(now, track[first].tolist(), strict=True)])
+            velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
             steps_aside = self.agreed and other.yields and other.path_start is None
             settled, heading, footprint = bool(self._settled[number]), other.heading, other.footprint
             self._seen[number] = ObservedAgent(
-                number, np.array(now), velocity, settled, is_robot, heading, steps_aside, footprint
+                number, now, velocity, settled, is_robot, heading, steps_aside, footprint
             )
         return self._seen[number]
 

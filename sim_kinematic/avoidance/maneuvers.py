@@ -34,7 +34,8 @@ TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
 """Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
 finds longer maneuvers sooner."""
 MOST_NODES = 16_000
-"""Poses that a search looks at before it gives up. Of 300 that found something, 299 had looked at 2,200 at most, one at 14,500."""
+"""Poses that a search looks at before it gives up. Of 300 that found something, one looked at 14,500 and all others at 2,200 at
+most."""
 
 
 @kernel(error_model="numpy")

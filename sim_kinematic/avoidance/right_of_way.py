@@ -13,7 +13,7 @@ agent that is held up by somebody driven from outside goes to a refuge until the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
 from typing import Protocol
@@ -21,18 +21,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
-from h3data.kernels.entries import Entries
+from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
-_CALL = Entries()
-_NOWHERE = math.nan, math.nan
-_GETS_ON = AVOIDANCE.progress_m, AVOIDANCE.progress_rad, AVOIDANCE.stand_off_m
-_ASKS = AVOIDANCE.held_up_steps, AVOIDANCE.asks_moving_m, AVOIDANCE.asks_idle_m
 DOTS_M = 0.2
 """Points on a path for which distances to another are measured are no farther apart."""
 
@@ -77,7 +72,7 @@ class _Request:
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
     """Steps since it got there."""
-    chose_at: tuple[float, ...] | None = None
+    chose_at: tuple[float, float, float] | None = None
     """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     """Position [2] of the other agent when it was last observed."""
@@ -103,18 +98,15 @@ class RightOfWay:
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
         numbers = [walker.number for walker in walkers]
+        self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
+        """Distance from an agent's path within which another is in its way [m]."""
+        self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
+        self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
-        self._rows = np.full((max(numbers, default=-1) + 1, 12), np.nan)
-        """By number, [N, 12]: where the agent last got on ``(x, z, heading)``; for this step its place, the first point of its
-        path, NaN without one, whether it yields, and whether others hinder it; the distance from its path within which another
-        is in its way [m], and its extent [m]. NaN where no agent has the number."""
-        for w in walkers:
-            self._rows[w.number, :3] = *w.xz.tolist(), w.heading
-            self._rows[w.number, 10:] = AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w), w.footprint.extent_m
-        self._counts = np.zeros((2, len(self._rows)), np.int64)
-        self._stalled, self._still = self._counts
-        """Steps since each agent last got on: those in which it wanted to, and all; views of one array."""
+        self._stalled = dict.fromkeys(self._walkers, 0)
+        self._still = dict.fromkeys(self._walkers, 0)
+        self._place = {number: _place(walker) for number, walker in self._walkers.items()}
 
     def walk_on(self, free: FreeSpace) -> None:
         """Use another floor from now on, because a door or a drawer has moved."""
@@ -122,23 +114,32 @@ class RightOfWay:
 
     def update(self, carrying: Sequence[int] = ()) -> None:
         """Sets ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
-        walkers, stand_offs = self._walkers, self._stand_offs
-        self._look(walkers.values())
-        near = _CALL(_count_step, self._rows, self._counts, *_GETS_ON)
-        for number, request in self._requests.items():
-            _drop_reached(walkers[number], request)
-        for number in [n for n, request in self._requests.items() if self._is_over(walkers[n], request)]:
+        starts: dict[int, list[float] | None] = {}
+        for number, walker in self._walkers.items():
+            place = x, z, heading = _place(walker)
+            was_x, was_z, was_heading = self._place[number]
+            turned = abs(wrap_angle(heading - was_heading))
+            starts[number] = self._start(walker)
+            # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
+            if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
+                self._stalled[number] = self._still[number] = 0
+                self._place[number] = place
+            self._still[number] += 1
+            wants = starts[number] is not None or walker.hindered_by
+            self._stalled[number] = self._stalled[number] + 1 if wants else 0
+            if number in self._requests:
+                _drop_reached(walker, self._requests[number])
+        for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             request = self._requests.pop(number)
-            self._look([walkers[number]])
-            if request.chose_at is not None and stand_offs is not None:
-                stand_offs.of(number, request.by).steps = 0  # time to get past
-        # pairs that are far apart, and were so before, have nothing to count
-        if stand_offs is not None and (near or stand_offs.met):
-            for pair in stand_offs.update(self._is_held_off):
-                self._part(stand_offs, pair, carrying)
+            starts[number] = self._start(self._walkers[number])
+            if request.chose_at is not None and self._stand_offs is not None:
+                self._stand_offs.of(number, request.by).steps = 0  # time to get past
+        if self._stand_offs is not None:
+            for pair in self._stand_offs.update(self._is_held_off):
+                self._part(self._stand_offs, pair, carrying)
         # the usual case ends here: ranks and paths cost far more than the distances that rule them out
-        if not self._requests and (not self._asks or self._all_are_clear()):
-            for walker in walkers.values():
+        if not self._requests and (not self._asks or self._all_are_clear(starts)):
+            for walker in self._walkers.values():
                 walker.aside = None
             return
         first: list[Walker] = []
@@ -150,18 +151,12 @@ class RightOfWay:
             asked = [other for other in blockers if self._ask(other, me, first)]
             # who was asked asks next, with the rank of the asker, so that a whole row backs out in one step
             waiting = asked + [other for other in waiting if other not in asked]
-        for number, walker in walkers.items():
+        for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
 
-    def _look(self, walkers: Iterable[Walker]) -> None:
-        """Write what agents do now into their rows."""
-        for walker in walkers:
-            start, hindered = self._start(walker) or _NOWHERE, len(walker.hindered_by) > 0
-            self._rows[walker.number, 3:10] = (*walker.xz.tolist(), walker.heading, *start, walker.yields, hindered)
-
-    def _all_are_clear(self) -> bool:
+    def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
         """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
-        return not _CALL(_some_may_block, self._rows, self._stalled, *_ASKS)
+        return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
@@ -212,20 +207,35 @@ class RightOfWay:
         start = walker.path_start
         return None if start is None else start.tolist()
 
+    def _may_block(self, other: Walker, me: Walker, starts: Mapping[int, list[float] | None]) -> bool:
+        """Returns whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`.
+
+        ``starts`` are the first points of the paths of both.
+        """
+        held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
+        if not other.yields:
+            return False
+        if other.number in me.hindered_by and held_up:
+            return True
+        start, moves = starts[me.number], starts[other.number] is not None
+        if start is None or (moves and not held_up):
+            return False
+        # plain numbers: this runs for every pair in every step, and arrays of two numbers cost more than the sums
+        (x, z), (other_x, other_z) = start, other.xz.tolist()
+        reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
+        reach += self._beside_m[me.number] + self._extent_m[other.number]
+        return math.hypot(other_x - x, other_z - z) <= reach
+
     def _blocks(self, other: Walker, me: Walker) -> bool:
         """Returns whether an agent should step aside for me."""
-        if not other.yields:
+        if not self._may_block(other, me, {walker.number: self._start(walker) for walker in (other, me)}):
             return False
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
             return True
-        self._look((other, me))
-        if not _CALL(_may_block, self._rows, self._stalled, other.number, me.number, *_ASKS):
-            return False
         ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
         # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
         path = np.ascontiguousarray(self.path(me), np.float64)
-        beside_m = self._rows.item(me.number, 10)
-        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, beside_m, *me.xz.tolist())
+        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
         """Asks an agent to step aside for me; returns whether it does."""
@@ -290,16 +300,12 @@ class RightOfWay:
             if lets_out is not None and lets_out.by != number:
                 del self._requests[other.number]
             stays = AVOIDANCE.waits_steps if waits else math.inf if driven else AVOIDANCE.refuge_steps
-            me.turned_away, where = driven, self._place(other) if driven else None
+            me.turned_away, where = driven, self._place[other.number] if driven else None
             seen = other.xz.copy()
             self._requests[number] = _Request(other.number, route, stays_steps=stays, chose_at=where, seen=seen)
             self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
             encounter.rounds, encounter.waited = encounter.rounds + 1, driven
             return
-
-    def _place(self, walker: Walker) -> tuple[float, ...]:
-        """Return where an agent last got on, ``(x, z, heading)``."""
-        return tuple(self._rows[walker.number, :3].tolist())
 
     def _goes_to_refuge(self, number: int, other: int) -> bool:
         """Returns whether an agent is on its way to a refuge, which is still far from the other."""
@@ -363,11 +369,11 @@ class RightOfWay:
                 return True  # follow somebody who leaves
             self._go_farther(walker, other, request)
             stops = (
-                self._still[other.number] > AVOIDANCE.held_up_steps and self._place(other) != request.chose_at
+                self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
             )
             # only in the refuge: on the way there it would stop whenever somebody who follows it stops
             if stops and not len(request.route):
-                walker.turned_away, request.chose_at = True, self._place(other)
+                walker.turned_away, request.chose_at = True, self._place[other.number]
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1
@@ -486,46 +492,11 @@ def _drop_reached(walker: Walker, request: _Request) -> None:
     """Count a step of a request and remove the points of its route that the agent has reached."""
     request.steps += 1
     reached = AVOIDANCE.reached_m[walker.is_robot]
-    while len(request.route) and math.dist(request.route[0].tolist(), walker.xz.tolist()) <= reached:
+    while len(request.route) and np.hypot(*(request.route[0] - walker.xz)) <= reached:
         request.route = request.route[1:]
 
 
-@kernel(error_model="numpy")
-def _count_step(rows, counts, progress, turns, stand_off):
-    """Counts one step of each agent in ``counts`` [2, N]; returns whether two are nearer than ``stand_off`` [m]."""
-    near = False
-    for n in range(len(rows)):
-        gone = math.hypot(rows[n, 3] - rows[n, 0], rows[n, 4] - rows[n, 1])
-        # as `h3data.geometry.wrap_angle`, to the bit: whoever turns at a steady rate meets the limit exactly
-        turned = abs((rows[n, 5] - rows[n, 2] + math.pi) % (2 * math.pi) - math.pi)
-        # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
-        if gone > progress or turned > turns:
-            counts[0, n] = counts[1, n] = 0
-            rows[n, 0], rows[n, 1], rows[n, 2] = rows[n, 3], rows[n, 4], rows[n, 5]
-        counts[1, n] += 1
-        counts[0, n] = 0 if math.isnan(rows[n, 6]) and rows[n, 9] == 0.0 else counts[0, n] + 1
-        for other in range(n):
-            near |= math.hypot(rows[n, 3] - rows[other, 3], rows[n, 4] - rows[other, 4]) <= stand_off
-    return near
-
-
-@kernel(error_model="numpy")
-def _may_block(rows, stalled, other, me, held_up, moving, idle):
-    """Whether ``other`` could have to step aside for ``me``, whose path it is near: a cheap upper bound of `_blocks`."""
-    moves = not math.isnan(rows[other, 6])
-    if math.isnan(rows[me, 6]) or (moves and stalled[me] < held_up):
-        return False
-    reach = (moving if moves else idle) + (rows[me, 10] + rows[other, 11])
-    return math.hypot(rows[other, 3] - rows[me, 6], rows[other, 4] - rows[me, 7]) <= reach
-
-
-@kernel(error_model="numpy")
-def _some_may_block(rows, stalled, held_up, moving, idle):
-    """Whether any agent that yields could have to step aside for another, or hinders one that is held up."""
-    for other in range(len(rows)):
-        if rows[other, 8] > 0.0:
-            for me in range(len(rows)):
-                hindered = rows[me, 9] > 0.0 and stalled[me] >= held_up
-                if me != other and (hindered or _may_block(rows, stalled, other, me, held_up, moving, idle)):
-                    return True
-    return False
+def _place(walker: Walker) -> tuple[float, float, float]:
+    """Return ``(x, z, heading)`` of an agent in Python's floats, which compare faster than arrays."""
+    x, z = walker.xz.tolist()
+    return x, z, float(walker.heading)

@@ -49,8 +49,6 @@ class StandOffs:
         self._walkers = dict(zip(numbers, walkers, strict=True))
         self._encounters = {pair: Encounter() for pair in combinations(numbers, 2)}
         self.errand = errand
-        self.met = True
-        """True if two agents were near each other in the last step that was counted."""
 
     def of(self, a: int, b: int) -> Encounter:
         """Returns the encounter of two agents."""
@@ -61,14 +59,14 @@ class StandOffs:
 
         ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
         """
-        stuck, self.met = [], False
+        stuck = []
         for pair, encounter in self._encounters.items():
             (x, z), (other_x, other_z) = self._walkers[pair[0]].xz.tolist(), self._walkers[pair[1]].xz.tolist()
             if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue
-            self.met, encounter.steps = True, encounter.steps + 1
+            encounter.steps += 1
             # only of agents near each other: the progress of a task is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):

@@ -17,18 +17,15 @@ from h3data.bodies.people.skeleton import PARENT_ARRAY
 from h3data.bodies.robots.kinematics import link_frames
 from h3data.geometry import Array, pose_to_matrix
 from h3data.kernels import kernel
-from h3data.kernels.entries import Entries
 from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.agent_contact import NEAR_M, any_near
-
-_CALL = Entries()
 
 
 class RobotCapsules:
     """The capsules of a robot's links."""
 
     def __init__(self, robot: Robot) -> None:
-        self._call, (links, ends, self.radii) = Entries(), _robot_capsules(robot)
+        links, ends, self.radii = _robot_capsules(robot)
         # frames and ends are filled in place, so that posing allocates nothing
         self._args = (links, ends, np.ascontiguousarray(robot.to_base, np.float64), *robot.joint_tree)
         self._frames = np.empty((1, len(robot.links), 4, 4))
@@ -37,14 +34,14 @@ class RobotCapsules:
 
     def pose(self, base: Array, joints: Array) -> None:
         """Pose the robot with its root at a pose7 [7] in the world and joint positions [J]."""
-        self._call(_pose_robot, pose_to_matrix(base), joints[None], *self._args, self._frames, self.ends)
+        _pose_robot(pose_to_matrix(base), joints[None], *self._args, self._frames, self.ends)
 
 
 class PersonCapsules:
     """The capsules of a person's bones."""
 
     def __init__(self, body: Humanoid) -> None:
-        self._call, (joints, ends, self.radii) = Entries(), _person_capsules(body)
+        joints, ends, self.radii = _person_capsules(body)
         self._args = joints, ends, body.joint_offsets, PARENT_ARRAY
         self._frames = np.empty((1, len(PARENT_ARRAY), 4, 4))
         self.ends = np.empty_like(ends)
@@ -52,7 +49,7 @@ class PersonCapsules:
 
     def pose(self, base: Array, quats: Array, pelvis: Array) -> None:
         """Pose the person with their root at a pose7 [7] in the world, local rotations [55, 4] and the pelvis [3]."""
-        self._call(_pose_person, base[None], quats[None], pelvis[None], *self._args, self._frames, self.ends)
+        _pose_person(base[None], quats[None], pelvis[None], *self._args, self._frames, self.ends)
 
 
 def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
@@ -60,7 +57,7 @@ def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsul
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
     margin_m = 2 * NEAR_M
-    return bool(_CALL(any_near, a.ends, a.radii, b.ends, b.radii, margin_m))
+    return bool(any_near(a.ends, a.radii, b.ends, b.radii, margin_m))
 
 
 @lru_cache(maxsize=32)
