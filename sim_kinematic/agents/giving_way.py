@@ -273,11 +273,9 @@ def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
 def _note(places, moments, at, settled, count, still):
     """Adds where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
     for n in range(len(at)):
-        for axis in range(2):
-            places[n, moments - 1, axis] = at[n, axis]
         settled[n] = moments >= count
         for axis in range(2):
-            low = high = at[n, axis]
+            low = high = places[n, moments - 1, axis] = at[n, axis]
             # the oldest first: of who moves, it is the farthest away
             for t in range(max(moments - count, 0), moments):
                 low, high = min(low, places[n, t, axis]), max(high, places[n, t, axis])
