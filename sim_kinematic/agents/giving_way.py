@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.geometry import Array
+from h3data.kernels import kernel
+from h3data.kernels.entries import Entries
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
@@ -30,6 +32,8 @@ from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 
 AnyActor = RobotActor | PersonActor
+_CALL = Entries()
+_STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
 
 
 class GivingWay:
@@ -93,7 +97,7 @@ class GivingWay:
         """Place of each agent; of the one whose turn it is, before that."""
         self._seen: dict[int, ObservedAgent] = {}
         """Agents as others see them, for those whom somebody has looked at since they last acted."""
-        self._settled: set[int] = set()
+        self._settled = np.zeros(len(actors), np.bool_)
 
     @cached_property
     def _contacts(self) -> AgentContacts:
@@ -147,7 +151,7 @@ class GivingWay:
             first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
             velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
             steps_aside = self.agreed and other.yields and other.path_start is None
-            settled, heading, footprint = number in self._settled, other.heading, other.footprint
+            settled, heading, footprint = bool(self._settled[number]), other.heading, other.footprint
             self._seen[number] = ObservedAgent(
                 number, now, velocity, settled, is_robot, heading, steps_aside, footprint
             )
@@ -206,10 +210,8 @@ class GivingWay:
         self._moments += 1
         self._acted.clear()
         self._seen.clear()
-        for actor in self.actors:
-            number, track = actor.number, self.track(actor.number)
-            self._at[number] = track[-1] = actor.xz.tolist()
-            (self._settled.add if _stays(track, self._at[number]) else self._settled.discard)(number)
+        self._at = [actor.xz.tolist() for actor in self.actors]
+        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
         self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
@@ -267,15 +269,19 @@ def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
     return True
 
 
-def _stays(track: Array, now: list[float]) -> bool:
-    """Returns whether an agent with these places [T, 2], the last of them ``now``, has been standing for long."""
-    count = AVOIDANCE.still_steps
-    if len(track) < count:
-        return False
-    (x, z), (was_x, was_z) = now, track[-count].tolist()
-    if abs(x - was_x) >= AVOIDANCE.still_m or abs(z - was_z) >= AVOIDANCE.still_m:
-        return False  # the ends of the interval tell, mostly: the rest of it costs ten times as much
-    return float(np.ptp(track[-count:], axis=0).max()) < AVOIDANCE.still_m
+@kernel(error_model="numpy")
+def _note(places, moments, at, settled, count, still):
+    """Adds where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
+    for n in range(len(at)):
+        settled[n] = moments >= count
+        for axis in range(2):
+            low = high = places[n, moments - 1, axis] = at[n, axis]
+            # the oldest first: of who moves, it is the farthest away
+            for t in range(max(moments - count, 0), moments):
+                low, high = min(low, places[n, t, axis]), max(high, places[n, t, axis])
+                if not settled[n] or high - low >= still:
+                    settled[n] = False
+                    break
 
 
 def _stored(values: Array) -> NDArray[np.float64]:

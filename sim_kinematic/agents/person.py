@@ -269,7 +269,7 @@ class Person:
 
     def upright(self, held: Held) -> Array:
         """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
-        return quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
+        return quat_multiply(quat_from_heading(self.heading), held.stood)
 
     def frame(self) -> Frame:
         """Return a copy of the person's present state."""

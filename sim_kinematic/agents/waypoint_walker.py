@@ -136,8 +136,9 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
     """
     roomy = path.copy()
     for k in range(1, len(path) - 1):
+        away = aside(free, path[k], clearance_m) - path[k]
         for share in (1.0, 0.5, 0.25):
-            moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
+            moved = path[k] + share * away
             # the corner before has moved already, the one after has not yet
             ends = roomy[k - 1], path[k + 1]
             apart = all(np.hypot(*(moved - end)) >= WAYPOINTS.apart_m for end in ends)

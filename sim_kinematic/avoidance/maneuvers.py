@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import are_clear, drive_base
+from sim_kinematic.motion.step import are_clear, drive_base, least_clearance
 
 HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
@@ -35,6 +35,30 @@ TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
 finds longer maneuvers sooner."""
 MOST_NODES = 30_000
 """Poses that a search looks at before it gives up."""
+
+
+@kernel(error_model="numpy")
+def _some_end_is_free(
+    sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+):
+    """Returns whether a search for a heading at the goal may find an end: an upper bound of the room in each of its cells.
+
+    Where somebody stands there, it would look at all poses that the base reaches before it gives up.
+    """
+    # no place in a cell is farther from its middle, and no heading turns a disc farther
+    place_m = math.sqrt(0.5) * grid_cell
+    base_m, hull_m = place_m + np.abs(offsets).max() * facing, place_m + np.abs(hull).max() * facing
+    for i in range(left.shape[0]):
+        for j in range(left.shape[1]):
+            if left[i, j] <= enough:
+                x, z = grid_origin[0] + (i + 0.5) * grid_cell, grid_origin[1] + (j + 0.5) * grid_cell
+                # between samples the signed distance changes by up to the square root of 2 per metre
+                room = least_clearance(sdf, origin, cell, x, z, bearing, offsets) - radius + math.sqrt(2.0) * base_m
+                for disc in discs:
+                    room = min(room, least_gap(x, z, bearing, disc[0], disc[1], hull, disc[2]) + hull_m)
+                if room >= 0.0:
+                    return True
+    return False
 
 
 @kernel(error_model="numpy")
@@ -71,6 +95,10 @@ def _search(
     `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step; the same search without sliding
     must have failed before.
     """
+    if facing < math.inf and not _some_end_is_free(
+        sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+    ):
+        return -1
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
     sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))

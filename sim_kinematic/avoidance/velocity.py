@@ -19,7 +19,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
+from sim_kinematic.motion.step import are_clear, integrate_along, wrap_angle
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # standing still comes first: of equal commands the first one wins
@@ -29,10 +29,16 @@ _CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for
 @kernel(error_model="numpy")
 def least_gap(x, z, heading, other_x, other_z, hull, reach):
     """Returns the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
+    return gap_along(x, z, math.cos(heading), math.sin(heading), other_x, other_z, hull, reach)
+
+
+@kernel(error_model="numpy", inline="always")
+def gap_along(x, z, c, s, other_x, other_z, hull, reach):
+    """Returns the same as `least_gap` of a heading whose cosine ``c`` and sine ``s`` are known."""
     least = math.inf
     for offset in hull:
-        dx = x + math.cos(heading) * offset - other_x
-        dz = z - math.sin(heading) * offset - other_z
+        dx = x + c * offset - other_x
+        dz = z - s * offset - other_z
         least = min(least, math.hypot(dx, dz) - reach)
     return least
 
@@ -46,21 +52,22 @@ def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base,
     """
     (x, z, heading), (offsets, disc_radius), (steps, stride, doubt, dt) = pose, base, rules
     gaps[:] = math.inf
-    lacks = -math.inf
+    lacks, c, s = -math.inf, math.cos(heading), math.sin(heading)
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > length:
             speed = 0.0
         # rounded to the nearest step, so that a turn neither stops short nor overshoots by a whole one
         if abs(turn) * (step - 0.5) * dt > arc:
             turn = 0.0
-        nx, nz, nh = integrate(x, z, heading, speed, 0.0, turn, dt)
-        if is_clear(sdf, origin, cell, nx, nz, nh, offsets, disc_radius):
-            x, z, heading = nx, nz, nh
+        nx, nz, nh = integrate_along(x, z, heading, c, s, speed, 0.0, turn, dt)
+        nc, ns = (math.cos(nh), math.sin(nh)) if turn != 0.0 else (c, s)
+        if are_clear(sdf, origin, cell, nx, nz, nc, ns, offsets, disc_radius):
+            x, z, heading, c, s = nx, nz, nh, nc, ns
         if step % stride == 0:
             t = step * dt
             for n in range(len(others)):
                 to_x, to_z = others[n, 0] + others[n, 2] * t, others[n, 1] + others[n, 3] * t
-                now = least_gap(x, z, heading, to_x, to_z, hull, others[n, 4])
+                now = gap_along(x, z, c, s, to_x, to_z, hull, others[n, 4])
                 gaps[n] = min(gaps[n], now + doubt * t)
                 lacks = max(lacks, others[n, 5] - gaps[n])
             if lacks > enough:

@@ -97,7 +97,12 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
 
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """
-    c, s = math.cos(heading), math.sin(heading)
+    return integrate_along(x, z, heading, math.cos(heading), math.sin(heading), speed, lateral, turn, dt)
+
+
+@kernel(error_model="numpy", inline="always")
+def integrate_along(x, z, heading, c, s, speed, lateral, turn, dt):
+    """Returns the same as `integrate` for a heading whose cosine ``c`` and sine ``s`` are known."""
     # positive angles turn from x towards -z (docs conventions), hence the minus in z
     return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
 

@@ -13,6 +13,10 @@ from h3data.scene.freespace.build import build_from_walkable
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance import maneuvers
 from sim_kinematic.avoidance.maneuvers import GAIN_M, plan_maneuver
+from sim_kinematic.avoidance.robot_base import hull_of
+from sim_kinematic.avoidance.routes import FloorRoutes
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, is_clear
@@ -107,3 +111,38 @@ def test_every_maneuver_can_be_driven(home: FreeSpace, seed: int) -> None:
     robot = driven(home, start, heading, commands)
     if len(commands):
         assert home.geodesic(robot.xz[0], goal, max_snap_m=1.0) < home.geodesic(start, goal) + 0.1
+
+
+# --- ends that somebody occupies ----------------------------------------------------------------------------------------
+def ends_free(free: FreeSpace, left: np.ndarray, bearing: float, facing: float, discs: np.ndarray) -> bool:
+    base = HOME_BASE
+    sizes = np.array(base.disc_offsets_m), base.disc_radius_m - base.clearance_tolerance_m, np.array(hull_of(base))
+    grid = FloorRoutes.of(free)
+    floor = free.sdf, free.origin, free.cell_m
+    return maneuvers._some_end_is_free(
+        *floor, *sizes, discs, left, grid.origin, AVOIDANCE.cell_m, 0.05, bearing, facing
+    )
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_an_end_that_a_base_could_take_is_never_ruled_out(home: FreeSpace, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid, facing = FloorRoutes.of(home), np.pi / maneuvers.HEADINGS
+    at, bearing = home.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi)
+    heading, disc = bearing + rng.uniform(-facing, facing), np.array([[*(at + rng.normal(0, 0.8, 2)), 0.5]])
+    offsets, radius = np.array(HOME_BASE.disc_offsets_m), HOME_BASE.disc_radius_m - HOME_BASE.clearance_tolerance_m
+    left = np.full(grid.room.shape, 9.0)
+    left[tuple(((at - grid.origin) / AVOIDANCE.cell_m).astype(int))] = 0.0
+    fits = is_clear(home.sdf, home.origin, home.cell_m, *at, heading, offsets, radius)
+    fits &= least_gap(*at, heading, *disc[0, :2], np.array(hull_of(HOME_BASE)), disc[0, 2]) >= 0
+    assert not fits or ends_free(home, left, bearing, facing, disc)
+
+
+def test_a_goal_that_somebody_occupies_needs_no_search() -> None:
+    free, goal = floor_of(shapely.box(0, 0, 6, 6)), np.array([4.0, 4.0])
+    left = FloorRoutes.of(free).flood(goal, NOBODY).distance
+    assert ends_free(free, left, 1.0, 0.1, NOBODY)
+    there = np.array([[4.0, 4.2, 0.8]])
+    assert not ends_free(free, left, 1.0, 0.1, there)
+    assert not len(plan_maneuver(free, HOME_BASE, np.array([3.0, 3.0]), 0.0, goal, there, bearing=1.0))
