@@ -24,7 +24,7 @@ from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
 from sim_kinematic.tasks.episode import Episode, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
@@ -36,7 +36,7 @@ def packed_episode(task: Task, episode: Episode) -> bytes:
     """An episode as a recording file: scene, rules, agents and starts."""
     policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
     play = WorldRollout.of(task, episode, policies, measure=False)
-    recorder = Recorder(describe(task, episode, policies), play)
+    recorder = Recorder.of(play)
     run(play, recorder, steps=1)  # recordings have columns, so that there is a first step, in which nobody decides
     recording = recorder.finish({})
     with tempfile.TemporaryDirectory() as folder:

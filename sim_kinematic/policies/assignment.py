@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
-from h3data.recording import Body
 from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import HandWork
@@ -94,16 +92,6 @@ class AssignedPolicy(NamedTuple):
 def works(policy: AssignedPolicy) -> HandWork | None:
     """Return what the hands of an agent do; None: they handle nothing."""
     return getattr(policy.policy, "hands", None)
-
-
-def handled_things(policies: Sequence[AssignedPolicy], roster: Sequence[Any]) -> list[Body]:
-    """Return the things that people bring along, in the order of the agents, each with its owner's name before its own."""
-    things = [
-        (f"{member.name}_{thing.name}", thing)
-        for member, policy in zip(roster, policies, strict=True)
-        for thing in (works(policy) or HandWork()).things
-    ]
-    return [replace(thing, name=name, moving=k) for k, (name, thing) in enumerate(things)]
 
 
 def is_address(name: str) -> bool:

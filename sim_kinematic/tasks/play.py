@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
-from h3data.recording import STEP_NS, Event, SkillSpan
+from h3data.recording import STEP_NS, Body, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
+from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
@@ -95,7 +97,8 @@ class WorldRollout:
             raise InputError(
                 f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
             )
-        self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
+        self.task: Any = task
+        self.spec, self.measure, self.options = spec, measure, dict(options or {})
         self.world = World(
             roster,
             worlds=worlds,
@@ -119,6 +122,8 @@ class WorldRollout:
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
         self.policies: list[AssignedPolicy] = []
+        self.things: list[Body] = []
+        """Things that people bring along, in the order of the agents, each with its owner's name before its own."""
         self.ended = "max_steps"
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
@@ -151,16 +156,21 @@ class WorldRollout:
                 code="H3-TASK-016",
             )
         has_skills = task.control.has_skills
+        things = [
+            replace(thing, name=f"{member.name}_{thing.name}")
+            for member, policy in zip(episode.roster, policies, strict=True)
+            for thing in (works(policy) or HandWork()).things
+        ]
         play = cls(
             task,
             episode.spec,
             episode.roster,
             measure=measure,
             # without skills and chores nothing moves the things of a home, so they are no part of the state
-            objects=len(episode.moving) if has_skills else len(handled_things(policies, episode.roster)),
+            objects=len(episode.moving) if has_skills else len(things),
             scene_joints=len(joint_names(episode.scene)) if has_skills or any(map(works, policies)) else 0,
         )
-        play.policies = list(policies)
+        play.policies, play.things = list(policies), [replace(thing, moving=k) for k, thing in enumerate(things)]
         play.begin([episode])
         return play
 
@@ -317,22 +327,6 @@ class WorldRollout:
     def view(self, agent: int) -> Any:
         """Return the observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
-
-    def decide(self, agent: int) -> Any:
-        """Return the choice of an agent's policy in the first world, in the form that `Control` takes.
-
-        Raises:
-            InputError: the policy returned something else; the message names it.
-        """
-        given = self.policies[agent]
-        choice = given.policy.act(self.view(agent))
-        try:
-            return self.task.control.accepted(self, agent, choice)
-        except InputError as error:
-            who = self.world.roster[agent].name
-            raise InputError(
-                f"The policy {given.name!r} of {who} returned no valid choice: {error}", code="H3-TASK-083"
-            ) from error
 
     def finish(self) -> None:
         """End everything that is still running, such as skills."""

@@ -7,7 +7,7 @@ clock of their own, such as a live server or a learning algorithm.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -23,7 +23,7 @@ from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
+from sim_kinematic.tasks.recorder import Recorder, Sink
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
@@ -42,6 +42,24 @@ class DecisionLoop:
         self.asked: int | None = None
         """Number of the agent that must decide; None: a step is over, or nothing has begun."""
         self.go_on()
+
+    def decide(self) -> Any:
+        """Ask the policy of the agent that must decide, and return its choice in the form that `Control` takes.
+
+        Raises:
+            InputError: The policy returned something else; the message names it.
+        """
+        assert self.asked is not None
+        play, number = self._play, self.asked
+        choice = play.policies[number].policy.act(play.view(number))
+        try:
+            return play.task.control.accepted(play, number, choice)
+        except InputError as error:
+            raise InputError(
+                f"The policy {play.policies[number].name!r} of {play.world.roster[number].name} returned no valid choice: "
+                f"{error}",
+                code="H3-TASK-083",
+            ) from error
 
     def answer(self, choice: Any) -> None:
         """Take the choice of the agent that was asked."""
@@ -129,7 +147,7 @@ def run(
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
-            choice = play.decide(number)
+            choice = turns.decide()
             if note is not None and _needs_note(policies[number].policy, choice):
                 note(number, choice)
             turns.answer(choice)
@@ -173,19 +191,11 @@ def simulate(
     Raises:
         InputError: There is no such policy, agent or sensor, or a policy returned no valid choice.
     """
-    assigned = assign(task, episode, policies)
-    measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
-    if measured is not None:
-        info = {**(info or {}), "sensors": measured.facts}
-    header = describe(task, episode, assigned, episode_id=episode_id)
-    play = WorldRollout.of(task, episode, assigned, measure=False)
-    recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
+    play = rollout(task, episode, policies, measure=False)
+    recorder = Recorder.of(play, sink, episode_id=episode_id, sensors=sensors)
     try:
-        run(play, recorder, progress=progress, note=partial(_record, task, recorder))
-        # later entries win: the caller knows better than policies, and these than the task
-        return recorder.finish(
-            {**task.codec.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})}
-        )
+        run(play, recorder, progress=progress, note=partial(_record, recorder))
+        return recorder.finish(_final_info(recorder, info))
     except BaseException:
         # also when the user stops the process: the rows so far stay readable
         recorder.abort()
@@ -197,10 +207,10 @@ def _needs_note(policy: Any, choice: Any) -> bool:
     return isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy)
 
 
-def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
+def _record(recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
     """Take down a choice as raw input; ``reason``: why it interrupted a running skill."""
     step = len(recorder)
-    payload = {"agent": number, "step": step, "choice": task.control.to_json(choice)}
+    payload = {"agent": number, "step": step, "choice": recorder.play.task.control.to_json(choice)}
     if reason:
         payload["interrupts"] = reason
     recorder.input(
@@ -208,17 +218,20 @@ def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: st
     )
 
 
-def policies_info(policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-    """Return entries of a recording's info that only policies know at the end, such as the times that a server took.
+def _final_info(recorder: Recorder, info: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return entries of a recording's info that are known only at its end: of the task, its policies and the caller.
 
-    A policy with such entries returns them from ``recorded_info()``; lists of several policies are joined.
+    A policy with such entries, for example the times that a server took, returns them from ``recorded_info()``; lists of
+    several policies are joined.
     """
-    found: dict[str, Any] = {}
-    for assigned in policies:
+    play, found = recorder.play, {}
+    for assigned in play.policies:
         facts = getattr(assigned.policy, "recorded_info", None)
         for name, value in (facts() if facts is not None else {}).items():
             found[name] = [*found.get(name, []), *value] if isinstance(value, list) else value
-    return found
+    # later entries win: the caller knows better than policies, and these than the task
+    measured = {} if recorder.sensors is None else {"sensors": recorder.sensors.facts}
+    return {**play.task.codec.final_info(play.episode, play, play.policies), **found, **(info or {}), **measured}
 
 
 # --- callers that bring their own clock -------------------------------------------------------------------------------
@@ -296,10 +309,7 @@ class Session:
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
         self.play = WorldRollout.of(task, episode, self.policies)
-        header = describe(task, episode, self.policies, episode_id=episode_id)
-        if info:
-            header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
-        self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
+        self.recorder = Recorder.of(self.play, sink, episode_id=episode_id, info=info)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
         self._turns: DecisionLoop | None = None
         self._closed: Recording | None = None
@@ -395,11 +405,11 @@ class Session:
                 choice, inbox = self._choice(number), self._inboxes[number]
                 # recorded even if it only repeats the last command: a replay asks for a command wherever there was one
                 reason, inbox.reason = inbox.reason, ""
-                _record(self.task, self.recorder, number, choice, reason)
+                _record(self.recorder, number, choice, reason)
             else:
-                choice = self.play.decide(number)
+                choice = self._turns.decide()
                 if _needs_note(self.policies[number].policy, choice):
-                    _record(self.task, self.recorder, number, choice)
+                    _record(self.recorder, number, choice)
             self._turns.answer(choice)
         events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)
         self.recorder.add()
@@ -427,8 +437,7 @@ class Session:
             # `ended` begins as max_steps, which would be wrong for a session that stops early
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.codec.final_info(self.episode, self.play, self.policies)
-            self._closed = self.recorder.finish({**found, **policies_info(self.policies), **(info or {})})
+            self._closed = self.recorder.finish(_final_info(self.recorder, info))
         return self._closed
 
     def abort(self) -> None:

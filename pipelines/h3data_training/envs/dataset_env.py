@@ -35,7 +35,7 @@ from sim_kinematic.sensing.eyes import shared_renderer
 from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.resume import task_of
 from sim_kinematic.tasks.runner import DecisionLoop
@@ -212,8 +212,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._recorder = None
         if self.record is not None:
             name = f"{self._seed}-{self._index}"
-            header = describe(self._task, episode, policies, episode_id=name)
-            self._recorder = Recorder(header, play)
+            self._recorder = Recorder.of(play, episode_id=name)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Act for 1/30 s.
