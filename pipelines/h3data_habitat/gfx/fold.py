@@ -198,8 +198,8 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
             life.track = len(fold.movers)
             fold.movers.append(life)
     bones = sum(rig.bones for rig in fold.rigs.values())
-    check_size(fold.steps, max(len(fold.movers), len(fold.user), bones), path)
     _check_rotations(fold, path)
+    check_size(fold.steps, max(len(fold.movers), len(fold.user), bones), path)
     return fold
 
 
