@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
@@ -266,24 +266,36 @@ RENAMED = {
 }
 """New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
 
-`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own calls `refuse_renamed` there.
+`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own makes it by `lazy_names`.
 """
 
 
 _OLD_HOMES = frozenset(name.rpartition(".")[0] for name in RENAMED)
 
 
-def refuse_renamed(module: str) -> Callable[[str], Any]:
-    """Makes a module's ``__getattr__``, which answers old names of `RENAMED` with an ImportError that says the new one."""
+def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` for a module that imports names at their first use.
 
-    def refuse(name: str) -> Any:
+    It answers old names of `RENAMED` with an ImportError that says the new one.
+
+    Args:
+        module: Name of the module.
+        homes: Module that defines each name; one that begins with a dot lies in ``module``, a package.
+    """
+
+    def find(name: str) -> Any:
+        if name in homes:
+            from h3data.plugins import import_name
+
+            return import_name(f"{module}{homes[name]}" if homes[name].startswith(".") else homes[name], name)
         new = RENAMED.get(f"{module}.{name}")
         if new is None:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+            more = f"; it has {', '.join(homes)}" if homes else ""
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{more}")
         # not an AttributeError: ``from module import name`` would replace its text
         raise ImportError(f"{module}.{name} is {new} now.", name=module)
 
-    return refuse
+    return find
 
 
 def new_name(module: str) -> str | None:
@@ -313,7 +325,7 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`refuse_renamed`)."""
+    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
 
     @classmethod
     def find_spec(
@@ -325,7 +337,7 @@ class RenamedFinder(PathFinder):
             run = spec.loader.exec_module
 
             def run_guarded(module: ModuleType) -> None:
-                vars(module)["__getattr__"] = refuse_renamed(fullname)
+                vars(module)["__getattr__"] = lazy_names(fullname)
                 run(module)
 
             spec.loader.exec_module = run_guarded

@@ -84,7 +84,7 @@ class Turns:
                 self.reward += play.reward
                 loop.go_on()
             elif number not in self._acting:
-                loop.answer(loop.decide())
+                loop.answer(play.decide(number))
             elif number in chosen:
                 loop.answer(chosen.pop(number))
             else:

@@ -328,6 +328,22 @@ class WorldRollout:
         """Return the observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
 
+    def decide(self, agent: int) -> Any:
+        """Return the choice of an agent's policy in the first world, in the form that `Control` takes.
+
+        Raises:
+            InputError: the policy returned something else; the message names it.
+        """
+        given = self.policies[agent]
+        choice = given.policy.act(self.view(agent))
+        try:
+            return self.task.control.accepted(self, agent, choice)
+        except InputError as error:
+            who = self.world.roster[agent].name
+            raise InputError(
+                f"The policy {given.name!r} of {who} returned no valid choice: {error}", code="H3-TASK-083"
+            ) from error
+
     def finish(self) -> None:
         """End everything that is still running, such as skills."""
         self.team.finish()

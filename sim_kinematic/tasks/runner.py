@@ -43,24 +43,6 @@ class DecisionLoop:
         """Number of the agent that must decide; None: a step is over, or nothing has begun."""
         self.go_on()
 
-    def decide(self) -> Any:
-        """Ask the policy of the agent that must decide, and return its choice in the form that `Control` takes.
-
-        Raises:
-            InputError: The policy returned something else; the message names it.
-        """
-        assert self.asked is not None
-        play, number = self._play, self.asked
-        choice = play.policies[number].policy.act(play.view(number))
-        try:
-            return play.task.control.accepted(play, number, choice)
-        except InputError as error:
-            raise InputError(
-                f"The policy {play.policies[number].name!r} of {play.world.roster[number].name} returned no valid choice: "
-                f"{error}",
-                code="H3-TASK-083",
-            ) from error
-
     def answer(self, choice: Any) -> None:
         """Take the choice of the agent that was asked."""
         assert self.asked is not None
@@ -147,7 +129,7 @@ def run(
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
-            choice = turns.decide()
+            choice = play.decide(number)
             if note is not None and _needs_note(policies[number].policy, choice):
                 note(number, choice)
             turns.answer(choice)
@@ -407,7 +389,7 @@ class Session:
                 reason, inbox.reason = inbox.reason, ""
                 _record(self.recorder, number, choice, reason)
             else:
-                choice = self._turns.decide()
+                choice = self.play.decide(number)
                 if _needs_note(self.policies[number].policy, choice):
                     _record(self.recorder, number, choice)
             self._turns.answer(choice)
