@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -116,23 +115,18 @@ def run(
     *,
     steps: int | None = None,
     progress: Callable[[int], object] | None = None,
-    note: Callable[[int, Any], object] | None = None,
 ) -> str:
     """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``, and return the reason why it ended.
 
-    ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
+    ``progress`` is called with 1 after every step.
     """
     # a DecisionLoop plays the first step as soon as it is made
     if steps == 0:
         return play.ended
-    turns, policies, done = DecisionLoop(play), play.policies, 0
+    turns, done = DecisionLoop(play), 0
     while not turns.over:
         if turns.asked is not None:
-            number = turns.asked
-            choice = play.decide(number)
-            if note is not None and _needs_note(policies[number].policy, choice):
-                note(number, choice)
-            turns.answer(choice)
+            turns.answer(_decide(play, recorder, turns.asked))
             continue
         done += 1
         if recorder is not None:
@@ -176,7 +170,7 @@ def simulate(
     play = rollout(task, episode, policies, measure=False)
     recorder = Recorder.of(play, sink, episode_id=episode_id, sensors=sensors)
     try:
-        run(play, recorder, progress=progress, note=partial(_record, recorder))
+        run(play, recorder, progress=progress)
         return recorder.finish(_final_info(recorder, info))
     except BaseException:
         # also when the user stops the process: the rows so far stay readable
@@ -184,9 +178,13 @@ def simulate(
         raise
 
 
-def _needs_note(policy: Any, choice: Any) -> bool:
-    """Returns whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
-    return isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy)
+def _decide(play: WorldRollout, recorder: Recorder | None, number: int) -> Any:
+    """Return the choice of an agent's policy, and record it as raw input if no column has it."""
+    choice, policy = play.decide(number), play.policies[number].policy
+    # commands of a server to an arm are in no column
+    if recorder is not None and isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy):
+        _record(recorder, number, choice)
+    return choice
 
 
 def _record(recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
@@ -389,9 +387,7 @@ class Session:
                 reason, inbox.reason = inbox.reason, ""
                 _record(self.recorder, number, choice, reason)
             else:
-                choice = self.play.decide(number)
-                if _needs_note(self.policies[number].policy, choice):
-                    _record(self.recorder, number, choice)
+                choice = _decide(self.play, self.recorder, number)
             self._turns.answer(choice)
         events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)
         self.recorder.add()
