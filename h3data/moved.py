@@ -270,9 +270,6 @@ RENAMED = {
 """
 
 
-_OLD_HOMES = frozenset(name.rpartition(".")[0] for name in RENAMED)
-
-
 def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
     """Return a ``__getattr__`` for a module that imports names at their first use.
 
@@ -327,12 +324,15 @@ class MovedFinder(MetaPathFinder):
 class RenamedFinder(PathFinder):
     """Finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
 
+    modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
+    """Modules whose objects were renamed."""
+
     @classmethod
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Returns the module's own specification; None for modules without renamed objects."""
-        spec = super().find_spec(fullname, path, target) if fullname in _OLD_HOMES else None
+        spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
         if spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 

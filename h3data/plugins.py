@@ -75,13 +75,6 @@ def _trusted() -> list[str]:
     return [name for name in os.environ.get(TRUST_VARIABLE, "").split(",") if name]
 
 
-def is_trusted(reference: str) -> bool:
-    """Returns whether data may name this ``module:name``."""
-    module = reference.partition(":")[0]
-    # with the dot: ``my_package`` must not stand for ``my_package_of_somebody_else``
-    return any(module == name or module.startswith(f"{name}.") for name in _trusted())
-
-
 def _is_working_directory(folder: str) -> bool:
     """Returns whether an entry of ``sys.path`` is the working directory; "" stands for it."""
     try:
@@ -90,15 +83,8 @@ def _is_working_directory(folder: str) -> bool:
         return False
 
 
-def _installation() -> tuple[tuple[str, int, int, int], ...]:
-    """Return name, inode, number of links and last change [ns] of the working directory and of the folders of packages.
-
-    As long as this is the same, the same packages are installed.
-    """
-    return tuple(_last_change(folder or ".") for folder in (".", *sys.path))
-
-
 def _last_change(folder: str) -> tuple[str, int, int, int]:
+    """Return name, inode, number of links and last change [ns] of a folder."""
     try:
         state = os.stat(folder)
     except OSError:  # not every entry of sys.path exists
@@ -321,7 +307,9 @@ class Registry(Generic[T]):
         if REFERENCE.fullmatch(name):
             for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
                 return self._load(entry)  # installed, only named in full
-            if _FROM_DATA.get() and not is_trusted(name):
+            # with the dot: ``my_package`` must not stand for ``my_package_of_somebody_else``
+            module = f"{name.partition(':')[0]}."
+            if _FROM_DATA.get() and not any(module.startswith(f"{known}.") for known in _trusted()):
                 raise UntrustedNameError(self._untrusted(name), code="H3-FILE-014")
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
@@ -370,7 +358,8 @@ class Registry(Generic[T]):
         They are read again only after a package has been installed or removed, or the working directory has changed: files are
         recognized and metrics found thousands of times in a process.
         """
-        installed = _installation()
+        # as long as these folders are the same, the same packages are installed
+        installed = tuple(_last_change(folder or ".") for folder in (".", *sys.path))
         if self._scanned[0] != installed:
             self._scanned = installed, self._scan(_installed_entries(installed).select(group=self.group))
         return self._scanned[1]

@@ -55,11 +55,13 @@ def participant_key() -> bytes:
     """
     path = participant_key_path()
     try:
-        key = path.read_bytes()
-    except FileNotFoundError:
-        key = _new_key(path)
+        key = path.read_bytes() if path.exists() else _new_key(path)
     except OSError as error:
-        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
+        raise InputError(
+            f"The key that turns user ids into pseudonyms can be neither read nor made ({error.strerror}): {path}. "
+            f"Hint: set {KEY_VARIABLE} to a file that can be written.",
+            code="H3-FILE-020",
+        ) from None
     if len(key) < SHORTEST_KEY:
         raise InputError(
             f"Expected a participant key of {SHORTEST_KEY} or more bytes, got {len(key)}: {path}", code="H3-FILE-019"
@@ -69,25 +71,15 @@ def participant_key() -> bytes:
 
 def _new_key(path: Path) -> bytes:
     """A random key in a file that only its owner reads; that of another process if that one was first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    # the mode comes with the file: changed later, the key could be read in between
+    part.touch(mode=0o600)
+    part.write_bytes(secrets.token_bytes(32))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.{os.getpid()}")
-        # the mode comes with the file: changed later, the key could be read in between
-        part.touch(mode=0o600)
-        part.write_bytes(secrets.token_bytes(32))
-        try:
-            os.link(part, path)  # unlike a rename it never replaces the key of another process
-        except FileExistsError:
-            pass
-        finally:
-            part.unlink()
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
-
-
-def _unusable(path: Path, error: OSError) -> str:
-    return (
-        f"The key that turns user ids into pseudonyms can be neither read nor made ({error.strerror}): {path}. "
-        f"Hint: set {KEY_VARIABLE} to a file that can be written."
-    )
+        os.link(part, path)  # unlike a rename it never replaces the key of another process
+    except FileExistsError:
+        pass
+    finally:
+        part.unlink()
+    return path.read_bytes()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ JOIN, STORED = "+", "motion:"
 ATTACHED = "motion_"
 """Beginning of the name of an attachment that is a walk: ``motion_<digits>.npz``."""
 
-_READERS: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
 _files: dict[str, bytes] = {}
 
 
@@ -107,8 +106,10 @@ def walk_file(path: str) -> bytes:
     return _reader().walk_file(path)
 
 
+@cache
 def _reader() -> Any:
-    return _READERS.get("motion")
+    readers: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
+    return readers.get("motion")
 
 
 def _stored(motion: str) -> str:

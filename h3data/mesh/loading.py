@@ -58,7 +58,8 @@ def load_mesh(
     path = Path(path)
     if not is_file(path):
         raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}", code="H3-MESH-022")
-    if not _is_gltf(path) and path.suffix.lower()[1:] not in (*READERS.names(), *READERS.missing()):
+    suffix = path.suffix.lower()
+    if suffix not in _GLTF_SUFFIXES and suffix[1:] not in (*READERS.names(), *READERS.missing()):
         readable = ", ".join((*_GLTF_SUFFIXES, *(f".{name}" for name in READERS.names())))
         raise SceneError(
             f"Cannot read a mesh of type {path.suffix!r}. Expected one of {readable}: {path}", code="H3-MESH-023"
@@ -93,10 +94,6 @@ def _vector3(value: Sequence[float]) -> Vector3:
     return (x, y, z)
 
 
-def _is_gltf(path: Path) -> bool:
-    return path.suffix.lower() in _GLTF_SUFFIXES
-
-
 def load_parts(
     path: str | Path,
     *,
@@ -108,7 +105,7 @@ def load_parts(
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m
-    reader = None if _is_gltf(path) else READERS.get(path.suffix.lower()[1:])
+    reader = None if path.suffix.lower() in _GLTF_SUFFIXES else READERS.get(path.suffix.lower()[1:])
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such values are refused below
             if reader is None:

@@ -112,14 +112,14 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
     for name, ids in zip(names, (ours, theirs), strict=True):
         if repeated := _repeated(ids):
             raise InputError(
-                f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.",
+                f"Episode ids of {name} are not unique, so they cannot be paired: {some_of([*map(repr, repeated)])}.",
                 code="H3-METRIC-008",
             )
     missing = [i for i in ours if i not in set(theirs)]
     extra = [i for i in theirs if i not in set(ours)]
     if missing or extra:
         parts = [
-            f"only {name} has {len(ids)}: {_quoted(ids)}"
+            f"only {name} has {len(ids)}: {some_of([*map(repr, ids)])}"
             for name, ids in zip(names, (missing, extra), strict=True)
             if ids
         ]
@@ -207,10 +207,6 @@ def _with_partners(table: MetricsTable, *, policies: bool = False) -> tuple[str,
 
 def _repeated(names: Sequence[str]) -> list[str]:
     return [name for name, times in Counter(names).items() if times > 1]
-
-
-def _quoted(names: list[str]) -> str:
-    return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
 
 
 def _number(value: float, spec: str = ".3f") -> str:

@@ -22,8 +22,10 @@ def recordings_equal(a: Recording, b: Recording) -> list[str]:
         if len(ours) != len(theirs):
             differences.append(f"{kind}: {len(ours)} and {len(theirs)}")
             continue
-        for i, (x, y) in enumerate(zip(ours, theirs, strict=True)):
-            differences += _dict_differences(f"{kind}[{i}]", _struct(x), _struct(y))
+        for i, pair in enumerate(zip(ours, theirs, strict=True)):
+            # repr: NaN equals NaN, -0.0 differs from 0.0
+            x, y = ({name: repr(value) for name, value in struct_to_dict(record).items()} for record in pair)
+            differences += _dict_differences(f"{kind}[{i}]", x, y)
     differences += _set_differences("columns", a.columns, b.columns)
     for name in a.columns:
         if name in b.columns:
@@ -42,11 +44,6 @@ def _episode(rec: Recording) -> dict[str, Any]:
     # sorted, because the order of a mapping means nothing and differs between writers
     values["info"] = json.dumps(json.loads(values["info"]), sort_keys=True)
     return values
-
-
-def _struct(record: Any) -> dict[str, str]:
-    # repr: NaN equals NaN, -0.0 differs from 0.0
-    return {name: repr(value) for name, value in struct_to_dict(record).items()}
 
 
 def _dict_differences(what: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:

@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -260,12 +261,11 @@ class Recording:
         return "\n".join(lines)
 
 
-_NOTEBOOKS: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
-
-
+@cache
 def notebook() -> Any:
-    """The module that shows records in notebooks, which the package of viewers registers."""
-    return _NOTEBOOKS.get("notebook")
+    """Return the module that shows records in notebooks, which the package of viewers registers."""
+    displays: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
+    return displays.get("notebook")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

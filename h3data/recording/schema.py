@@ -155,18 +155,12 @@ def layout_from_json(text: str) -> Layout:
     return layout
 
 
-def version_numbers(version: str) -> tuple[int, int]:
-    """Major and minor number of a schema version; a `ValueError` if the text is no version."""
-    major, _, minor = version.partition(".")
-    # a third number is allowed, and says nothing about what can be read
-    return int(major), int(minor.partition(".")[0])
-
-
 def check_version(version: str, *, path: object) -> None:
     """Raises a `FormatError` if the schema version of a file is unreadable, of a newer major one, or too old."""
-    ours, _ = version_numbers(SCHEMA_VERSION)
+    ours = int(SCHEMA_VERSION.partition(".")[0])
     try:
-        major, minor = version_numbers(version)
+        # a third number is allowed, and says nothing about what can be read
+        major, minor = (int(number) for number in version.split(".")[:2])
     except (ValueError, AttributeError):
         raise FormatError(
             f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}", code="H3-RECORDING-112"

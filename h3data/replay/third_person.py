@@ -21,14 +21,15 @@ from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
-PIVOT_M = {"robot": 0.55, "human": 1.25}
-"""Height above the floor of the point on the agent that the camera keeps in sight, by kind of agent [m]."""
-
 
 @dataclass(frozen=True)
 class FramingSpec:
     """Constants of the camera that follows an agent."""
 
+    robot_m: float = 0.55
+    """Height above the floor of the point on a robot that the camera keeps in sight [m]."""
+    person_m: float = 1.25
+    """Height above the floor of the point on a person that the camera keeps in sight [m]."""
     boom_m: float = 2.6
     """Distance from the agent if there is enough space."""
     nearest_m: float = 1.0
@@ -154,7 +155,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
         other = None  # absent throughout
     base = forward_fill(recording.agent_column(leader, "base_pose").astype(np.float64))
-    pivot = base[:, :3] + (0.0, PIVOT_M.get(kinds[leader], PIVOT_M["robot"]), 0.0)
+    pivot = base[:, :3] + (0.0, FRAMING.person_m if kinds[leader] == "human" else FRAMING.robot_m, 0.0)
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
     person = (
         None if other is None else forward_fill(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]

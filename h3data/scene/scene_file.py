@@ -127,17 +127,13 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
     if mesh.uv is not None:
         out["TEXCOORD_0"] = chunk.vectors(mesh.uv)
     if len(mesh.faces):
-        faces = mesh.faces if mesh.face_textures is None else mesh.faces[_by_texture(mesh.face_textures)]
+        faces = mesh.faces if mesh.face_textures is None else mesh.faces[np.argsort(mesh.face_textures, kind="stable")]
         out["indices"] = chunk.triangles(faces)
     if mesh.textures:
         out["textures"] = [textures.index(t) for t in mesh.textures]
     if mesh.face_textures is not None:
         out["face_textures"] = chunk.array(mesh.face_textures.astype("<i2"), "SCALAR", INT16)
     return out
-
-
-def _by_texture(face_textures: NDArray[np.int16]) -> NDArray[np.int64]:
-    return np.argsort(face_textures, kind="stable")
 
 
 def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[dict[str, Any]]:
@@ -300,7 +296,7 @@ def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture
         face_textures = _accessor(arrays, accessors["face_textures"], "SCALAR", INT16).astype(np.int16)
         # the same stable order as in `_add_mesh`, undone
         ordered, faces = faces, np.empty_like(faces)
-        faces[_by_texture(face_textures)] = ordered
+        faces[np.argsort(face_textures, kind="stable")] = ordered
     color = _accessor(arrays, accessors["COLOR_0"], "VEC4", UINT16)
     return Mesh(
         vertices=_accessor(arrays, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),

@@ -40,16 +40,14 @@ PRIMITIVES = {
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
 """Skill that is one step of a robot's lower layer: base, arm and hand by `Action.command`."""
-DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
-"""Skills of a person who is driven from outside, in the order in which their recordings number them."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
 SIT = "sit"
 """Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
 SEARCH = "nav_to_place"
 """Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
-ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT, SEARCH)
-"""Skills in the order in which recordings of homes with doors and drawers number them."""
+ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
+"""Skills in the order in which recordings of homes with doors and drawers, and of people driven from outside, number them."""
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {

@@ -19,11 +19,11 @@ class Footprint(NamedTuple):
         return max(map(abs, self.offsets_m)) + self.radius_m
 
 
-PERSON = Footprint((0.0,), 0.3)
-"""A person, as agents that plan around them see them."""
 QUAD_ARM = Footprint((-0.3, 0.0, 0.4), 0.3)
 """``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
 plan paths through its hind legs."""
+PERSON = Footprint((0.0,), 0.3)
+"""A person, as agents that plan around them see them."""
 
 
 @dataclass(frozen=True, kw_only=True)

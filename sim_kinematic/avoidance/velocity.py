@@ -6,6 +6,7 @@ will be if they keep their velocity.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -21,9 +22,8 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
 
-_LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # standing still comes first: of equal commands the first one wins
-_CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
+_CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)])
 
 
 @kernel(error_model="numpy")

@@ -37,8 +37,6 @@ from sim_kinematic.sensing.sensor import (
 if TYPE_CHECKING:
     from sim_kinematic.world import World
 
-JOINT_MOST = 10.0
-"""Bound of joint positions [rad or m]."""
 NEARER_M = 3.0
 """Largest distance by which an agent can get nearer to anything within a second [m]."""
 AHEAD_M = (1.0, 2.5)
@@ -302,11 +300,6 @@ def _path_ahead(*, other: bool) -> Sensor:
     return Sensor(seen, **unit, frame="base", times="objects", of_other=other)
 
 
-def _approach(m: Context) -> Any:
-    """Return how much shorter per second the other's path to each object became over their known track [..., K] [m]."""
-    return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
-
-
 def _lidar(*, legs: bool) -> Sensor:
     many = {"low": (0.0,) * LIDAR_RAYS, "high": (LIDAR_M,) * LIDAR_RAYS, "unit": ("m",) * LIDAR_RAYS}
     return Sensor(lambda m: scan(m, legs=legs), **many, frame="base")
@@ -359,7 +352,7 @@ TABLE: Mapping[str, Sensor] = {
     ),
     "collision": Sensor(lambda m: m.xp.stack([m.contact, m.touching], -1), (0.0,) * 2, (1.0,) * 2),
     "is_holding": Sensor(lambda m: (m.held_by == m.agent).any(-1)[..., None], **_FLAG),
-    "arm_joints": Sensor(lambda m: m.arm, (-JOINT_MOST,), (JOINT_MOST,), ("rad",), times="joints"),
+    "arm_joints": Sensor(lambda m: m.arm, (-10.0,), (10.0,), ("rad",), times="joints"),
     # of rearrangement
     "obj_start_gps_compass": _gps(lambda m: m.starts),
     "obj_goal_gps_compass": _gps(lambda m: m.goals),
@@ -392,7 +385,15 @@ TABLE: Mapping[str, Sensor] = {
     "other_way_to_goals": _ways("goals", other=True),
     "other_from_starts": _other_from(lambda m: m.starts),
     "other_from_goals": _other_from(lambda m: m.goals),
-    "other_approach": Sensor(_approach, (-NEARER_M,), (NEARER_M,), ("m",), times="objects", of_other=True),
+    # by how much the other's path to each object has become shorter within a second
+    "other_approach": Sensor(
+        lambda m: (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M),
+        (-NEARER_M,),
+        (NEARER_M,),
+        ("m",),
+        times="objects",
+        of_other=True,
+    ),
     "path_ahead": _path_ahead(other=False),
     "other_path_ahead": _path_ahead(other=True),
     "other_velocity": _OTHER_VELOCITY,
@@ -411,10 +412,6 @@ LIDARS = ("lidar", "lidar_legs")
 """Laser scanners that see agents, as discs or by their legs."""
 
 
-def _rows(*names: str) -> Mapping[str, Sensor]:
-    return {name: TABLE[name] for name in names}
-
-
 OF_SKILLS = (
     "way",
     "range_scan",
@@ -427,27 +424,25 @@ OF_SKILLS = (
 )
 """Observations that a learned skill may have besides a picture."""
 # the order of the table counts here: rows up to ``arm_joints`` are those of any agent
-SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
+SENSORS: Mapping[str, Sensor] = {name: TABLE[name] for name in list(TABLE)[: list(TABLE).index("arm_joints") + 1]}
 """Sensors of agents of any task whose agents drive and walk."""
 # those left out need fields that `RearrangeContext` lacks, or are other_velocity by another name
-SENSES = _rows(
-    *(
-        name
-        for name in TABLE
-        if name
-        not in (
-            "humanoid_velocity",
-            "way",
-            "range_scan",
-            *LIDARS,
-            "part_gps_compass",
-            "part_is_open",
-            "target_gps_compass",
-            "target_sensor",
-            "resting_sensor",
-        )
+SENSES: Mapping[str, Sensor] = {
+    name: sensor
+    for name, sensor in TABLE.items()
+    if name
+    not in (
+        "humanoid_velocity",
+        "way",
+        "range_scan",
+        *LIDARS,
+        "part_gps_compass",
+        "part_is_open",
+        "target_gps_compass",
+        "target_sensor",
+        "resting_sensor",
     )
-)
+}
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""

@@ -16,14 +16,22 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.header import TOPIC_MESSAGES
 from h3data.recording.mcap.read import assemble, check_kind, columns_of, lacks_records, reconstruct
-from h3data.recording.mcap.scan import MAGIC, MESSAGE, McapRecords, check_crc, decoding_errors, decompress, take
+from h3data.recording.mcap.scan import (
+    MAGIC,
+    MESSAGE,
+    RECORD_HEAD,
+    McapRecords,
+    check_crc,
+    decoding_errors,
+    decompress,
+    take,
+)
 from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.records import Recording
 from h3data.recording.schema import layout_of
 from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, open_binary
 
-_RECORD = struct.Struct("<BQ")
 _MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
 _ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _T = TypeVar("_T")
@@ -128,8 +136,8 @@ class McapSteps(Steps):
         return self._file.read(size)
 
     def _record(self, offset: int) -> tuple[int, memoryview]:
-        opcode, length = _RECORD.unpack(self._bytes(offset, _RECORD.size))
-        return opcode, memoryview(self._bytes(offset + _RECORD.size, length))
+        opcode, length = RECORD_HEAD.unpack(self._bytes(offset, RECORD_HEAD.size))
+        return opcode, memoryview(self._bytes(offset + RECORD_HEAD.size, length))
 
     def _read_summary(self) -> None:
         """Reads schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
@@ -141,7 +149,7 @@ class McapSteps(Steps):
             raise FormatError("Expected an MCAP log, the file does not begin like one.", code="H3-RECORDING-038")
         take(log, *self._record(len(MAGIC)))
         # the footer is the last record, and the only one whose length is fixed
-        footer = log.size - (_RECORD.size + 20 + len(MAGIC))
+        footer = log.size - (RECORD_HEAD.size + 20 + len(MAGIC))
         if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
@@ -151,7 +159,7 @@ class McapSteps(Steps):
                 code="H3-RECORDING-039",
             )
         log.readable_bytes = log.size
-        summary = memoryview(self._bytes(start, footer + _RECORD.size + 16 - start))
+        summary = memoryview(self._bytes(start, footer + RECORD_HEAD.size + 16 - start))
         check_crc(crc, summary, "summary")
         metadata: list[int] = []
         for opcode, body in _records(summary[: footer - start]):
@@ -223,11 +231,11 @@ class McapSteps(Steps):
             in_chunk = slice(start - before[number], chunk_stop - before[number])
             for at in begins[channel][in_chunk].tolist() if chunk_stop > start else ():
                 opcode, length, owner = MESSAGE.unpack_from(data, at)
-                end = at + _RECORD.size + length
+                end = at + RECORD_HEAD.size + length
                 if owner != channel or opcode != _MESSAGE_OP or end > len(data):
                     raise ValueError("a message index does not fit its chunk")
                 # after the 22 bytes of channel, sequence, log time and publish time
-                yield data[at + _RECORD.size + 22 : end]
+                yield data[at + RECORD_HEAD.size + 22 : end]
             start, number = chunk_stop, number + 1
 
     def _with_steps(self, start: int, stop: int) -> McapRecords:
@@ -247,9 +255,9 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Opcode and body of consecutive records; an `EOFError` if the last is cut off."""
     position = 0
     while position < len(data):
-        opcode, length = _RECORD.unpack_from(data, position)
-        end = position + _RECORD.size + length
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        end = position + RECORD_HEAD.size + length
         if end > len(data):
             raise EOFError("a record exceeds its part of the file")
-        yield opcode, data[position + _RECORD.size : end]
+        yield opcode, data[position + RECORD_HEAD.size : end]
         position = end

@@ -23,14 +23,13 @@ from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_
 from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
 
-BUILD_VERSION = 4
-"""Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
-
 
 @dataclass(frozen=True)
 class BuildSpec:
-    """Resolutions of the free floor."""
+    """Version and resolutions of the free floor."""
 
+    version: int = 4
+    """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
     arc_segments: int = 8
     """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
     smooth_m: float = 1e-4
@@ -75,7 +74,7 @@ def scene_key(
 ) -> str:
     """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
     used = choose_method(scene, method)
-    digest = hashlib.sha256(f"freespace {BUILD_VERSION} {used}".encode())
+    digest = hashlib.sha256(f"freespace {BUILD.version} {used}".encode())
     numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
     digest.update(np.array(numbers, np.float64).tobytes())
     for instance in scene.static_instances:

@@ -50,7 +50,9 @@ class FloorCells:
     whole: NDArray[np.bool_]
     """True if the corner is visible from the whole cell."""
 
+    # made once for each floor
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, free: FreeSpace) -> FloorCells:
         """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
@@ -122,7 +124,7 @@ class PathTable:
 def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     """The paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
-    cells, nodes = floor_cells(free), free.graph.nodes
+    cells, nodes = FloorCells.of(free), free.graph.nodes
     left, after = _from_corners(free.graph, ends, SKIP_M)
     first = _from_cells(
         free.graph,
@@ -145,12 +147,6 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
         after=after.astype(np.int16),
         left=np.append(left, np.zeros(len(ends))),
     )
-
-
-@lru_cache(maxsize=64)
-def floor_cells(free: FreeSpace) -> FloorCells:
-    """Made once for each floor."""
-    return FloorCells.of(free)
 
 
 def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
