@@ -89,6 +89,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def _open(path: str) -> Any:
+    from h3data.recording.finding import find_episodes
     from h3data.recording.parquet.files import is_dataset
     from h3data.scene.open import is_builtin_name, named_scenes, open_scene, open_scene_path
 
@@ -104,19 +105,14 @@ def _open(path: str) -> Any:
     place = Path(path)
     # a shell that finds nothing passes the pattern on; a file may have such signs in its name, and an URI its query
     if re.search(r"[*?\[]", path) and "://" not in path and not place.exists():
-        return _below(sorted(glob.glob(path, recursive=True)), path)
-    if place.is_dir() and not is_dataset(place):
-        return _below([path], path)
-    return open_recording(path)
-
-
-def _below(paths: list[str], named: str) -> Episodes:
-    """Every episode below some paths."""
-    from h3data.recording.finding import find_episodes
-
-    if not paths:
-        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}", code="H3-FILE-003")
-    return Episodes(find_episodes(paths))
+        found = sorted(glob.glob(path, recursive=True))
+    elif place.is_dir() and not is_dataset(place):
+        found = [path]
+    else:
+        return open_recording(path)
+    if not found:
+        raise InputError(f"No file has such a name. Expected recordings or datasets: {path}", code="H3-FILE-003")
+    return Episodes(find_episodes(found))
 
 
 @overload

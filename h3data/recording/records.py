@@ -211,7 +211,7 @@ class Recording:
     """Files that travel with the recording, e.g. ``scene.glb``."""
 
     def __post_init__(self) -> None:
-        faults = _faults(self)
+        faults = self._faults()
         if faults:
             raise FormatError(
                 f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + ".",
@@ -260,6 +260,36 @@ class Recording:
         lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)
 
+    def _faults(self) -> list[str]:
+        faults = []
+        columns = self.columns
+        if "time_ns" not in columns:
+            return ["there is no column time_ns"]
+        steps = len(columns["time_ns"])
+        faults += [
+            f"column {name} has {len(array)} rows, time_ns has {steps}"
+            for name, array in columns.items()
+            if len(array) != steps
+        ]
+        if columns["time_ns"].dtype != np.int64:
+            faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
+        # compared and not subtracted, because differences of int64 may overflow
+        elif (columns["time_ns"][1:] <= columns["time_ns"][:-1]).any():
+            faults.append("time_ns does not increase strictly")
+        # tracks are found by their index, so each one needs exactly one body
+        moving = sorted(b.moving for b in self.bodies if b.moving >= 0)
+        # a recording without moving bodies may leave the column out
+        width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
+        if moving != list(range(width)):
+            faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
+        unknown = sorted({b.asset for b in self.bodies} - {a.name for a in self.assets})
+        if unknown:
+            faults.append(f"bodies use unknown assets {unknown[:3]}")
+        for i in range(len(self.agents)):
+            if f"agent_{i}.base_pose" not in columns:
+                faults.append(f"agent {i} ({self.agents[i].name}) has no column agent_{i}.base_pose")
+        return faults
+
 
 @cache
 def notebook() -> Any:
@@ -290,34 +320,3 @@ def _keep_walks(attachments: Mapping[str, bytes]) -> None:
         from h3data.bodies.names import keep_walks
 
         keep_walks(attachments)
-
-
-def _faults(rec: Recording) -> list[str]:
-    faults = []
-    columns = rec.columns
-    if "time_ns" not in columns:
-        return ["there is no column time_ns"]
-    steps = len(columns["time_ns"])
-    faults += [
-        f"column {name} has {len(array)} rows, time_ns has {steps}"
-        for name, array in columns.items()
-        if len(array) != steps
-    ]
-    if columns["time_ns"].dtype != np.int64:
-        faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
-    # compared and not subtracted, because differences of int64 may overflow
-    elif (columns["time_ns"][1:] <= columns["time_ns"][:-1]).any():
-        faults.append("time_ns does not increase strictly")
-    # tracks are found by their index, so each one needs exactly one body
-    moving = sorted(b.moving for b in rec.bodies if b.moving >= 0)
-    # a recording without moving bodies may leave the column out
-    width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
-    if moving != list(range(width)):
-        faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
-    unknown = sorted({b.asset for b in rec.bodies} - {a.name for a in rec.assets})
-    if unknown:
-        faults.append(f"bodies use unknown assets {unknown[:3]}")
-    for i in range(len(rec.agents)):
-        if f"agent_{i}.base_pose" not in columns:
-            faults.append(f"agent {i} ({rec.agents[i].name}) has no column agent_{i}.base_pose")
-    return faults

@@ -33,8 +33,6 @@ none; least gap to other agents [m]."""
 TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
 """Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
 finds longer maneuvers sooner."""
-MOST_NODES = 30_000
-"""Poses that a search looks at before it gives up."""
 
 
 @kernel(error_model="numpy")
@@ -203,8 +201,9 @@ def plan_maneuver(
     for disc in wide:
         now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
         disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
-    poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
-    moved = np.empty(MOST_NODES, np.int64)
+    # a search gives up when it has looked at as many poses
+    poses = np.empty((30_000, 3))
+    parents, moved = np.empty(len(poses), np.int64), np.empty(len(poses), np.int64)
     slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m
     node = -1
     for slides in (False, True):  # a base wedged between two walls cannot move without sliding

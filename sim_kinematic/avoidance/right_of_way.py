@@ -28,9 +28,6 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
-DOTS_M = 0.2
-"""Points on a path for which distances to another are measured are no farther apart."""
-
 
 class Walker(Body, Protocol):
     """An agent that moves on the floor."""
@@ -76,6 +73,13 @@ class _Request:
     """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     """Position [2] of the other agent when it was last observed."""
+
+    def advance(self, walker: Walker) -> None:
+        """Count a step, and remove the points of the route that the agent has reached."""
+        self.steps += 1
+        reached = AVOIDANCE.reached_m[walker.is_robot]
+        while len(self.route) and np.hypot(*(self.route[0] - walker.xz)) <= reached:
+            self.route = self.route[1:]
 
 
 class RightOfWay:
@@ -128,7 +132,7 @@ class RightOfWay:
             wants = starts[number] is not None or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
             if number in self._requests:
-                _drop_reached(walker, self._requests[number])
+                self._requests[number].advance(walker)
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             request = self._requests.pop(number)
             starts[number] = self._start(self._walkers[number])
@@ -411,7 +415,7 @@ class RightOfWay:
         # the shortest path from here, which it will take once it is let go; its old path began elsewhere
         mine = self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0) if len(walker.path) else NO_PATH
         paths = np.ascontiguousarray(mine, np.float64), length_m, np.ascontiguousarray(theirs, np.float64), their_m
-        return distance_of_paths(*walker.xz.tolist(), *paths, DOTS_M)
+        return distance_of_paths(*walker.xz.tolist(), *paths, AVOIDANCE.dots_m)
 
     # --- how long ------------------------------------------------------------------------------------------------------
     def _is_over(self, walker: Walker, request: _Request) -> bool:
@@ -474,7 +478,7 @@ class RightOfWay:
     def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
         """Returns where an agent is, and will be on the next metres of its path, [N, 2]."""
         path = first_of_path(self.path(walker), AVOIDANCE.asks_moving_m)
-        legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
+        legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / AVOIDANCE.dots_m)) for a, b in pairwise(path)]
         return np.vstack([walker.xz[None], (np.concatenate(legs) if legs else path)])
 
 
@@ -486,14 +490,6 @@ def aside_distance_m(a: Body, b: Body) -> float:
 def _size_beyond_default(body: Body) -> float:
     """By how much a robot extends farther from its origin than ``quad_arm`` [m], for which the distances were tuned."""
     return body.footprint.extent_m - AVOIDANCE.robot.extent_m if body.is_robot else 0.0
-
-
-def _drop_reached(walker: Walker, request: _Request) -> None:
-    """Count a step of a request and remove the points of its route that the agent has reached."""
-    request.steps += 1
-    reached = AVOIDANCE.reached_m[walker.is_robot]
-    while len(request.route) and np.hypot(*(request.route[0] - walker.xz)) <= reached:
-        request.route = request.route[1:]
 
 
 def _place(walker: Walker) -> tuple[float, float, float]:

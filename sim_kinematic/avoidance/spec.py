@@ -51,6 +51,8 @@ class AvoidanceSpec:
     """Angular acceleration with which people begin and end a turn."""
     corner_mps: float = 1.2
     """Speed to which they have braked at a corner of their path."""
+    dots_m: float = 0.2
+    """Largest distance between the points on a path from which distances to another path are measured [m]."""
     range_m: float = 4.0
     """Agents farther away are ignored: at 2.5 m/s each, two need 0.8 s to meet."""
     horizon_steps: int = 24

@@ -219,8 +219,41 @@ class WorldRollout:
         outcome = self.task.judge(self)
         # the first outcome is always checked, the others where rewards are used
         if not self._checked or self._checks:
-            outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
+            outcome, self._checked = self._checked_outcome(outcome), True
         self.outcome = outcome
+        return outcome
+
+    def _checked_outcome(self, outcome: Any) -> StepOutcome:
+        """Return the outcome, if its arrays are [W], finite, and of the declared columns.
+
+        Raises:
+            H3DataError: The outcome has another form, which is a fault of the task; the message names it and the field.
+        """
+        task, worlds = self.task, self.world.worlds
+        who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
+        if not isinstance(outcome, StepOutcome):
+            raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
+        for name in ("reward", "terminated", "success"):
+            values = np.asarray(getattr(outcome, name))
+            if values.shape != (worlds,):
+                raise H3DataError(
+                    f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
+                )
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise H3DataError(
+                    f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
+                )
+        strange = sorted(set(outcome.columns) ^ set(task.columns))
+        if strange:
+            raise H3DataError(
+                f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+            )
+        for name, values in outcome.columns.items():
+            if np.shape(values)[:1] != (worlds,):
+                raise H3DataError(
+                    f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
+                    code="H3-TASK-008",
+                )
         return outcome
 
     @property
@@ -398,39 +431,6 @@ def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Column
             if chosen := [n for other, n in mine if kinds[other] == kind]:
                 columns[f"metrics.collision_{name}"] = touching[:, chosen]
     return columns
-
-
-def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
-    """Return the outcome, if its arrays are [W], finite, and of the declared columns.
-
-    Raises:
-        H3DataError: The outcome has another form, which is a fault of the task; the message names it and the field.
-    """
-    who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
-    if not isinstance(outcome, StepOutcome):
-        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
-    for name in ("reward", "terminated", "success"):
-        values = np.asarray(getattr(outcome, name))
-        if values.shape != (worlds,):
-            raise H3DataError(
-                f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
-            )
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(
-                f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
-            )
-    strange = sorted(set(outcome.columns) ^ set(task.columns))
-    if strange:
-        raise H3DataError(
-            f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
-        )
-    for name, values in outcome.columns.items():
-        if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(
-                f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
-                code="H3-TASK-008",
-            )
-    return outcome
 
 
 class AgentSensors(NamedTuple):

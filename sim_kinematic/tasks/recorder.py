@@ -17,7 +17,6 @@ from h3data.bodies.names import JOIN, walk_attachments, walk_facts
 from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
-    Agent,
     Body,
     Event,
     InputEvent,
@@ -239,7 +238,7 @@ class Recorder:
         columns = self.columns()
         self._take()
         # agents that report a skill in every step have no spans yet: their columns have all of them
-        for span in () if self.skills else skill_spans(columns, self.header.agents):
+        for span in () if self.skills else self._spans_in(columns):
             self._skill(span)
         recording = finished(self.header, columns, info, self.skills, self.events, self.inputs)
         if self.sink is not None:
@@ -266,6 +265,24 @@ class Recorder:
         self.skills.append(span)
         if self.sink is not None:
             self.sink.skill(span)
+
+    def _spans_in(self, columns: Columns) -> Sequence[SkillSpan]:
+        """Return the runs of equal codes in each agent's ``skill`` column, as spans."""
+        spans = []
+        for index, agent in enumerate(self.header.agents):
+            codes = columns.get(f"agent_{index}.skill")
+            if codes is None or not len(codes):
+                continue
+            # a value unlike the first, so that the first row begins a run
+            starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
+            ends = np.append(starts[1:], len(codes)) - 1
+            spans += [
+                SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
+                for a, b in zip(starts, ends, strict=True)
+                # -1 is a step in which the agent reports no skill
+                if codes[a] >= 0
+            ]
+        return spans
 
     def _close_block(self) -> None:
         if not self._rows:
@@ -381,22 +398,3 @@ def describe(
         ),
         attachments={"scene.glb": file, **walks},
     )
-
-
-def skill_spans(columns: Mapping[str, NDArray[Any]], agents: Sequence[Agent]) -> tuple[SkillSpan, ...]:
-    """Return the runs of equal codes in each agent's ``skill`` column, as spans."""
-    spans = []
-    for index, agent in enumerate(agents):
-        codes = columns.get(f"agent_{index}.skill")
-        if codes is None or not len(codes):
-            continue
-        # a value unlike the first, so that the first row begins a run
-        starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
-        ends = np.append(starts[1:], len(codes)) - 1
-        spans += [
-            SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
-            for a, b in zip(starts, ends, strict=True)
-            # -1 is a step in which the agent reports no skill
-            if codes[a] >= 0
-        ]
-    return tuple(spans)

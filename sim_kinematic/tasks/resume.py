@@ -323,10 +323,13 @@ class _Played:
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
         """Columns, skills and events of people as recorded, as far as the task says."""
         people = _numbers(recording, "human")
+        # in social_nav ``sim.`` are the goal and the leg of the person's script
+        prefixes = ("sim.", *(f"agent_{k}." for k in people))
         kept = {
             name: recording.columns[name][:rows]
             for name in recording.columns
-            if (name in self.columns and _is_kept(name, people))
+            # what people hold is simulated again
+            if (name in self.columns and name.startswith(prefixes) and not name.endswith("grasp_body"))
             # who keeps a track handles the same things, which the simulation leaves alone
             or name.endswith(".motion_hands")
             or (name in (JOINTS, "object_pose") and not task.control.has_skills)
@@ -346,14 +349,6 @@ class _Played:
         else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
-
-
-def _is_kept(column: str, people: Sequence[int]) -> bool:
-    """Return whether a column of people who keep their tracks is the recorded one. What they hold is simulated again."""
-    # in social_nav these are the goal and the leg of the person's script
-    if column.startswith("sim."):
-        return True
-    return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
 
 
 def _restored(recording: Recording) -> tuple[Task, Episode]:

@@ -48,8 +48,6 @@ ARM_RADIUS, INSET = 0.026, 0.02
 by which advice keeps away from its border."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
 """The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
-_TRIED = 24
-"""Nearest table points from which the nearest valid one is sought."""
 
 
 class BaseMotion(NamedTuple):
@@ -205,6 +203,9 @@ def reach_table() -> Table:
 class ReachSolver:
     """Reaches with one hand of one body."""
 
+    tried = 24
+    """Number of the nearest table points from which the nearest valid one is sought."""
+
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
         self.table = reach_table() if table is None else table
         self.body = reach_body(body, hand)
@@ -262,7 +263,7 @@ class ReachSolver:
         """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
-        starts = self.valid_points[np.argsort(gap)[:_TRIED]]
+        starts = self.valid_points[np.argsort(gap)[: self.tried]]
         found = self._towards(starts, np.broadcast_to(target, starts.shape))
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
@@ -282,7 +283,7 @@ class ReachSolver:
         starts = starts[self.reachable(starts)] if len(starts) else starts
         if not len(starts):
             return None
-        starts = starts[np.argsort(np.hypot(*(starts - seen)[:, [0, 2]].T))[:_TRIED]]
+        starts = starts[np.argsort(np.hypot(*(starts - seen)[:, [0, 2]].T))[: self.tried]]
         found = self._towards(starts, np.broadcast_to(seen, starts.shape))
         x, _, z = seen - found[int(np.argmin(np.linalg.norm(found - seen, axis=1)))]
         return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)

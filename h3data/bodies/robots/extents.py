@@ -26,11 +26,6 @@ def resting_hull(robot: Robot) -> Array:
     # discs cover a radius beyond their places
     if len(bounds):
         back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
-    return row_of_discs(back, front, radius)
-
-
-def row_of_discs(back: float, front: float, radius: float) -> Array:
-    """Returns places [D] [m] from ``back`` to ``front``, no farther apart than 1.4 radii."""
     # distance between two discs of a row, in radii: between them the row is 71% as wide as a disc
     spacing = 1.4
     # less a little, so that rounding does not add a disc

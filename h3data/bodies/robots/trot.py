@@ -106,7 +106,9 @@ def trot(
         if there[first]:
             track = bases[first:last]
             heading, way = _headings_and_way(track, feet)
-            lean = _lean(robot, track) if len(heights) else np.zeros(len(track))
+            # distance ahead of the root at which feet stand under a pitched base, nearer to being below their hips
+            up = quat_rotate(track[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
+            lean = -TROT.lean_share * robot.base_height_m * up if len(heights) else np.zeros(len(track))
             cycles = _cycles(way)
             for start in range(0, len(track), block_steps):
                 rows = np.arange(start, min(start + block_steps, len(track)))
@@ -131,12 +133,6 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
     # a turn on the spot covers what feet at their mean distance from the root do
     covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
     return heading, np.concatenate([[0.0], np.cumsum(covered)])
-
-
-def _lean(robot: Robot, bases: Array) -> Array:
-    """Returns how far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
-    up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
-    return -TROT.lean_share * robot.base_height_m * up
 
 
 def _ahead(way: Array, heading: Array) -> Array:

@@ -19,8 +19,6 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Beginning of a record: opcode and length."""
 MESSAGE = struct.Struct("<BQH")
 """Beginning of a message record: opcode, length and channel."""
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""Times of the first and last message, uncompressed size and checksum, and length of the name of the compression."""
 _MESSAGE_HEAD = 22  # channel, sequence, log time, publish time
 # A damaged length must not allocate all memory of the machine.
 _LARGEST_CHUNK = 1 << 32
@@ -185,9 +183,11 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
     """
     import zstandard
 
-    _, _, size, _, name_size = _CHUNK_HEAD.unpack_from(body)
+    # times of the first and last message, uncompressed size and checksum, and length of the name of the compression
+    head = struct.Struct("<QQQII")
+    _, _, size, _, name_size = head.unpack_from(body)
     # 8 bytes for the length of the records, which nobody needs here: they end with the file
-    name, start = bytes(body[_CHUNK_HEAD.size :][:name_size]), _CHUNK_HEAD.size + name_size + 8
+    name, start = bytes(body[head.size :][:name_size]), head.size + name_size + 8
     data = bytes(body[start:])
     if name == b"zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:

@@ -33,12 +33,14 @@ from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, open_binary
 
 _MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
-_ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
     """The steps of a log; the chunks decompressed last are kept."""
+
+    once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
+    """Topics whose messages do not come once per step."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
@@ -74,7 +76,7 @@ class McapSteps(Steps):
         self._read_summary()
         self._places = {
             channel: self._places_of(channel)
-            for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
+            for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *self.once)
             if (channel := self._log.channel_of(topic)) is not None
         }
         # only now, because what is made up for the records needs the places of the messages
@@ -85,7 +87,7 @@ class McapSteps(Steps):
         if "h3.layout" not in self._log.metadata:
             raise ValueError("the record h3.layout is missing")
         self._steps = int(self._log.metadata["h3.end"]["steps"])
-        self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
+        self._per_step = [c for c in self._places if self._log.channels[c][0] not in self.once]
         # steps are found by counting, so a topic with another number of messages would give the rows of other
         # steps
         for channel in self._per_step:
@@ -111,7 +113,7 @@ class McapSteps(Steps):
             for offset in self._attachments:
                 take(self._log, *self._record(offset))
             self._log.attachments |= shared_files(self._log.metadata.get(RECORD, {}), self.path)
-            return self._whole(start, stop, *_ONCE)
+            return self._whole(start, stop, *self.once)
 
         return self._reported(read, f"steps {start} to {stop - 1}")
 

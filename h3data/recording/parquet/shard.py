@@ -54,7 +54,7 @@ class Shard:
         """True if a row group was begun and not finished, so that the file cannot be used."""
         self._arrow = data_schema(schema)
         self._stream = self._open("data")
-        self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))
+        self._writer = pq.ParquetWriter(self._stream, self._arrow, **self._parquet_options())
 
     @property
     def bytes(self) -> int:
@@ -206,6 +206,34 @@ class Shard:
                     )
             _sync(stream)
 
+    def _parquet_options(self) -> dict[str, Any]:
+        """zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
+
+        Poses and actions stay PLAIN because they have long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9
+        split, 20 objects 7.5 instead of 9.9; joint rotations take 790 plain, 699 split. Pages are as large as an episode's
+        column, so that each of the four byte streams is compressed in one piece: a looping clip takes 15 B/step instead of 30
+        with pages of 1 MiB.
+        """
+        encodings = {}
+        standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
+        for c in (*standard, *self.schema.columns):
+            path = c.name if c.width == 1 else f"{c.name}.list.element"
+            if c.name.endswith(("_pose", ".action")):
+                encodings[path] = "PLAIN"
+            elif c.dtype in ("float32", "float64"):
+                encodings[path] = "BYTE_STREAM_SPLIT"
+            elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
+                encodings[path] = "DELTA_BINARY_PACKED"
+        return {
+            "compression": "zstd",
+            "compression_level": ZSTD_LEVEL,
+            "data_page_size": PAGE_BYTES,
+            "use_dictionary": False,
+            "column_encoding": encodings,
+            "write_statistics": ["episode_index", "index", "frame_index", "task_index", "time_ns"],
+            "write_page_checksum": True,
+        }
+
 
 def open_shard_file(part: Path) -> IO[bytes]:
     """A new file under its temporary name; tests replace this by disks that fill up."""
@@ -240,32 +268,3 @@ def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Ta
         raise InputError(
             f"The {kind} of episode {index}: a value cannot be stored ({error}).", code="H3-RECORDING-075"
         ) from None
-
-
-def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:
-    """zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
-
-    Poses and actions stay PLAIN because they have long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9
-    split, 20 objects 7.5 instead of 9.9; joint rotations take 790 plain, 699 split. Pages are as large as an episode's
-    column, so that each of the four byte streams is compressed in one piece: a looping clip takes 15 B/step instead of 30
-    with pages of 1 MiB.
-    """
-    encodings = {}
-    standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
-    for c in (*standard, *schema.columns):
-        path = c.name if c.width == 1 else f"{c.name}.list.element"
-        if c.name.endswith(("_pose", ".action")):
-            encodings[path] = "PLAIN"
-        elif c.dtype in ("float32", "float64"):
-            encodings[path] = "BYTE_STREAM_SPLIT"
-        elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
-            encodings[path] = "DELTA_BINARY_PACKED"
-    return {
-        "compression": "zstd",
-        "compression_level": ZSTD_LEVEL,
-        "data_page_size": PAGE_BYTES,
-        "use_dictionary": False,
-        "column_encoding": encodings,
-        "write_statistics": ["episode_index", "index", "frame_index", "task_index", "time_ns"],
-        "write_page_checksum": True,
-    }
