@@ -30,7 +30,7 @@ def open(path: str | os.PathLike[str], kind: type[T]) -> T: ...
 @overload
 def open(path: str | os.PathLike[str]) -> Any: ...
 def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
-    """Opens recordings, datasets and scenes, by whatever name the command line knows them.
+    """Open recordings, datasets and scenes, by whatever name the command line knows them.
 
     ====================================================  ==========================================
     ``episode.mcap``, ``ds#3``                             `Recording`
@@ -122,7 +122,7 @@ def measure(
     recordings: Dataset | Iterable[Recording] | str | os.PathLike[str], profile: str | None = None
 ) -> MetricsTable: ...
 def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | MetricsTable:
-    """Computes task metrics: the values of one recording, or the table of many with means and 95% intervals.
+    """Compute task metrics: the values of one recording, or the table of many with means and 95% intervals.
 
     Args:
         recordings: A recording; or a dataset, episodes, or the path of a log, a dataset, or a folder of these.
@@ -157,7 +157,7 @@ def render_frame(
     light: LightMode = "baked",
     stand_ins: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
+    """Return one picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
 
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people``,
     ``light`` and ``stand_ins`` of its own.

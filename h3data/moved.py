@@ -296,7 +296,7 @@ def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> 
 
 
 def new_name(module: str) -> str | None:
-    """The name that a module of an earlier version has now; None if it has not moved."""
+    """Return the name that a module of an earlier version has now; None if it has not moved."""
     old = module
     # from the module outwards: what is inside a package that has moved as a whole has moved with it
     while old and old not in MOVED:
@@ -310,7 +310,7 @@ class MovedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Raises a ModuleNotFoundError with the new name of a module that has moved; None for all others."""
+        """Raise a ModuleNotFoundError with the new name of a module that has moved; None for all others."""
         now = new_name(fullname)
         if now is not None:
             # Python asks for packages before what is in them, so that only the outermost old name is ever seen here
@@ -331,7 +331,7 @@ class RenamedFinder(PathFinder):
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Returns the module's own specification; None for modules without renamed objects."""
+        """Return the module's own specification; None for modules without renamed objects."""
         spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
         if spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
@@ -345,6 +345,6 @@ class RenamedFinder(PathFinder):
 
 
 def announce_moves() -> None:
-    """Makes imports of old names say the new ones, in this process."""
+    """Make imports of old names say the new ones, in this process."""
     if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
         sys.meta_path[:] = [RenamedFinder, *sys.meta_path, MovedFinder()]

@@ -21,19 +21,19 @@ _shown = False
 
 
 def is_quiet() -> bool:
-    """Returns whether progress and notices are off."""
+    """Return whether progress and notices are off."""
     return os.environ.get(QUIET, "") not in ("", "0")
 
 
 def say(line: str) -> None:
-    """Writes a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
+    """Write a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
 
 
 def has_begun() -> bool:
-    """Returns whether this process has shown progress: notices, which would come between its lines, are too late then."""
+    """Return whether this process has shown progress: notices, which would come between its lines, are too late then."""
     return _shown
 
 
@@ -53,7 +53,7 @@ def progress(
     leave: bool = True,
     at_least: int = 0,
 ) -> tqdm[Any]:
-    """A `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
+    """Return a `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
 
     Args:
         items: Items to iterate over, each counting as one unit; None if ``update`` is called instead.
@@ -93,7 +93,7 @@ def progress(
 
 @functools.cache
 def _lines_bar() -> type[tqdm[Any]]:
-    """A bar that writes lines instead of overwriting one: control characters would fill a log file."""
+    """Return a bar that writes lines instead of overwriting one: control characters would fill a log file."""
     from tqdm import tqdm
 
     class Lines(tqdm):

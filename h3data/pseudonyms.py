@@ -19,7 +19,7 @@ SHORTEST_KEY = 16
 
 
 def anonymous_id(person: str, *, key: bytes) -> str:
-    """Returns the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
+    """Return the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
 
     HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
     whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
@@ -46,7 +46,7 @@ def participant_key_path() -> Path:
 
 
 def participant_key() -> bytes:
-    """Returns the secret key of this user's studies, made at its first use.
+    """Return the secret key of this user's studies, made at its first use.
 
     It lies beside the user's settings, not beside the recordings: whoever gets the data does not get the key.
 
@@ -70,7 +70,7 @@ def participant_key() -> bytes:
 
 
 def _new_key(path: Path) -> bytes:
-    """A random key in a file that only its owner reads; that of another process if that one was first."""
+    """Return a random key in a file that only its owner reads; that of another process if that one was first."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     # the mode comes with the file: changed later, the key could be read in between

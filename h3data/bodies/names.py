@@ -28,7 +28,7 @@ _files: dict[str, bytes] = {}
 # The name may be a key: stored motions are named by their contents, so what a name means never changes.
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """Loads a person by name, once; later calls return the same object.
+    """Load a person by name, once; later calls return the same object.
 
     Args:
         name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz`` file.
@@ -48,7 +48,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def split_walk(model: str) -> tuple[str, str]:
-    """The body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
+    """Return the body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
     # the name of a file may hold a plus itself
     if JOIN not in model or Path(model).exists():
         return model, ""
@@ -67,7 +67,7 @@ def stored_name(model: str) -> str:
 
 
 def keep_walk(data: bytes) -> str:
-    """Makes a walk known to this process, from the contents of its file; returns its name."""
+    """Make a walk known to this process, from the contents of its file; return its name."""
     digits = 16
     name = STORED + hashlib.sha256(data).hexdigest()[:digits]
     # one copy, whichever of several recordings with this walk came first
@@ -76,7 +76,7 @@ def keep_walk(data: bytes) -> str:
 
 
 def keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Makes the walks among a recording's attachments known to this process."""
+    """Make the walks among a recording's attachments known to this process."""
     for name, data in attachments.items():
         if name.startswith(ATTACHED):
             keep_walk(bytes(data))
@@ -97,7 +97,7 @@ def walk_facts(models: Iterable[str]) -> dict[str, Any]:
 
 
 def walk_file(path: str) -> bytes:
-    """The contents of the file that keeps the walk in a motion file.
+    """Return the contents of the file that keeps the walk in a motion file.
 
     Raises:
         InputError: there is no such file, or nobody walks in it.
@@ -113,7 +113,7 @@ def _reader() -> Any:
 
 
 def _stored(motion: str) -> str:
-    """The name by which recordings know a motion, which is a stored name or the path of a file."""
+    """Return the name by which recordings know a motion, which is a stored name or the path of a file."""
     return motion if motion.startswith(STORED) else keep_walk(walk_file(motion))
 
 

@@ -39,7 +39,7 @@ def check_workers(executor: str, workers: int | None) -> None:
 
 
 def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:
-    """The executor of that name, for a ``with`` statement.
+    """Return the executor of that name, for a ``with`` statement.
 
     Raises:
         InputError: there is no such executor, or no cluster at its address.

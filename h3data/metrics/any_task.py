@@ -18,7 +18,7 @@ _SOURCE = "h3data"
 
 
 def any_task_series(recording: Recording) -> Series:
-    """Computes the flags ``success`` and ``collision`` and the quantity ``reward``, each [T], as far as recorded."""
+    """Compute the flags ``success`` and ``collision`` and the quantity ``reward``, each [T], as far as recorded."""
     columns = recording.columns
     series: dict[str, NDArray] = {
         name.removeprefix("metrics."): _flags(columns[name]) for name in (SUCCESS, COLLISION) if name in columns

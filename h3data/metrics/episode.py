@@ -81,7 +81,7 @@ class EpisodeMetrics:
         return self.to_text()
 
     def to_text(self) -> str:
-        """An aligned table with a line per metric, followed by the notes."""
+        """Return an aligned table with a line per metric, followed by the notes."""
         by_text: dict[str, list[str]] = {}
         for name, text in self.notes.items():
             by_text.setdefault(text, []).append(name)
@@ -90,7 +90,7 @@ class EpisodeMetrics:
         return "\n".join([aligned(self.to_rows()), *lines])
 
     def to_rows(self) -> list[list[str]]:
-        """The cells of the table, its head first, then a row per metric."""
+        """Return the cells of the table, its head first, then a row per metric."""
         rows = [["metric", "value", "unit", "", "what"]]
         for metric in self.metrics:
             value = self.values[metric.name]
@@ -100,7 +100,7 @@ class EpisodeMetrics:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """The measurement as JSON types; NaN and infinities become None."""
+        """Return the measurement as JSON types; NaN and infinities become None."""
         return {
             "episode_id": self.episode_id,
             "uid": self.uid,
@@ -170,7 +170,7 @@ class Notes:
     lines: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, names: Iterable[str], text: str) -> None:
-        """Adds ``text`` to each of these metrics."""
+        """Add ``text`` to each of these metrics."""
         for name in names:
             self.lines.setdefault(name, []).append(text)
 
@@ -180,6 +180,6 @@ class Notes:
 
 
 def first_moments(series: Mapping[str, NDArray[Any]], flags: Iterable[str]) -> dict[str, int]:
-    """Returns the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
+    """Return the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
     # asked first whether any row holds: of none, argmax is row 0
     return {name: int(np.argmax(series[name])) for name in flags if name in series and series[name].any()}

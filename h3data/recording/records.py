@@ -241,7 +241,7 @@ class Recording:
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
-        """Returns a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
+        """Return a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
         return notebook().show(self, viewer, **options)
 
     def _repr_html_(self) -> str:
@@ -315,7 +315,7 @@ class RecordingHeader:
 
 
 def _keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Makes the imported walks of people known, which their models name."""
+    """Make the imported walks of people known, which their models name."""
     if any(name != "scene.glb" for name in attachments):  # importing bodies takes a while
         from h3data.bodies.names import keep_walks
 

@@ -59,19 +59,19 @@ class Scan(NamedTuple):
 
 
 def scan_column(agent: int, sensor: str) -> str:
-    """Name of the column of an agent's sensor."""
+    """Return the name of the column of an agent's sensor."""
     return f"metrics.agent_{agent}.{sensor}"
 
 
 def scans_of(recording: Recording) -> list[Scan]:
-    """Returns the planar scans of a recording, by agent."""
+    """Return the planar scans of a recording, by agent."""
     # sensors that are scans: rays at equal angles, the first straight ahead, the others to the left
     scanners = ("lidar", "lidar_legs", "range_scan")
     return [scan for scan, _ in _found(recording, scanners, 2)]
 
 
 def clouds_of(recording: Recording) -> list[Scan]:
-    """Returns the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
+    """Return the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
     clouds = []
     # sensors that are scans of several lasers, each at an elevation of its own
     cloud_sensors = ("lidar_3d",)
@@ -87,7 +87,7 @@ def clouds_of(recording: Recording) -> list[Scan]:
 
 
 def _found(recording: Recording, sensors: tuple[str, ...], axes: int) -> list[tuple[Scan, Mapping[str, Any]]]:
-    """Returns the columns of some sensors as scans, with the facts that the recording states of each."""
+    """Return the columns of some sensors as scans, with the facts that the recording states of each."""
     told = recording.episode.info.get("sensors")
     found = []
     for agent in range(len(recording.agents)):

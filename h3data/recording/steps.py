@@ -33,7 +33,7 @@ class Steps(ABC):
     def __len__(self) -> int: ...
 
     def rows(self, start: int, stop: int, *, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
-        """Columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
+        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
 
         Raises:
             InputError: there are no such steps or columns.
@@ -50,7 +50,7 @@ class Steps(ABC):
         return self._rows(start, stop, names if columns is None else [n for n in names if n in set(columns)])
 
     def __getitem__(self, step: int) -> dict[str, NDArray[Any]]:
-        """All columns at one step, without the time axis; -1 is the last."""
+        """Return all columns at one step, without the time axis; -1 is the last."""
         if not -len(self) <= step < len(self):
             raise IndexError(f"The recording has {len(self)} steps, there is no {step}.")  # also ends a for loop
         at = step % len(self)
@@ -87,7 +87,7 @@ class Steps(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Releases files and memory; the steps cannot be read afterwards."""
+        """Release files and memory; the steps cannot be read afterwards."""
 
     def __enter__(self) -> Self:
         return self

@@ -57,7 +57,7 @@ class ShadowCasters:
 def shadow_casters(
     field: LightField, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], agents: Mapping[int, int]
 ) -> ShadowCasters:
-    """The casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
+    """Return the casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
     members = np.full(len(instances), -1, np.int64)
     local = np.full((len(instances), 7), np.nan)
     first_thing = max(agents.values(), default=-1) + 1

@@ -100,7 +100,7 @@ def third_person_at(
     height: int = 480,
     around_s: float = FRAMING.around_s,
 ) -> Camera:
-    """The camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
+    """Return the camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
 
     The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes. With
     ``around_s=0`` it is the best view of this step alone, in 0.02 s, for a picture that is part of no video.
@@ -248,7 +248,7 @@ def _follow(
 
 
 def _first_body(start: Array, directions: Array, length: Array, bodies: Array) -> NDArray[np.float64]:
-    """Distances [D] from ``start`` [3] at which lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
+    """Return distances [D] from ``start`` [3] at which lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
 
     The lines have unit ``directions`` [D, 3], none of them vertical, and ``length`` [D] [m].
     """
@@ -268,7 +268,7 @@ def _direction(azimuth: Array, elevation: Array) -> Array:
 
 
 def _angle(start: Array, end: Array) -> NDArray[np.float64]:
-    """Angles [...] between directions [..., 3] [rad]."""
+    """Return angles [...] between directions [..., 3] [rad]."""
     return np.arccos(np.clip(np.einsum("...i,...i->...", normalized(start), normalized(end)), -1.0, 1.0))
 
 
@@ -290,7 +290,7 @@ def _towards(start: Array, end: Array, angle: Array) -> Array:
 
 
 def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:
-    """Direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
+    """Return the direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
     # the smaller of the two turns
     step = (azimuth[:, None] - azimuth[None] + np.pi) % (2 * np.pi) - np.pi
     # a radian between two keys costs 7.2, where scores are about 1: the camera turns slowly or for good reasons

@@ -329,7 +329,7 @@ class Scene:
         )
 
     def _articulation_fault(self) -> str:
-        """The first fault of the scene's articulated things, or nothing."""
+        """Return the first fault of the scene's articulated things, or nothing."""
         # ``moved`` goes through all things and ``before`` through the parts of one: names of parts repeat from thing to thing
         names, moved = {i.name for i in self.instances}, set[str]()
         if len({a.name for a in self.articulations}) < len(self.articulations):

@@ -46,7 +46,7 @@ class SceneFile:
     """True if objects whose files are missing are left out with a warning."""
 
     def open(self) -> Scene:
-        """The scene in the file as it is now.
+        """Return the scene in the file as it is now.
 
         Raises:
             SceneError, FormatError: it cannot be read.
@@ -143,7 +143,7 @@ SCENES: Registry[SceneGenerator | SceneReader] = Registry("h3data.scenes", {}, w
 
 @cache
 def _installed(path: tuple[str, ...]) -> dict[str, SceneGenerator | SceneReader]:
-    """All entries, as of one ``sys.path``: looking for installed packages takes 30 ms."""
+    """Return all entries, as of one ``sys.path``: looking for installed packages takes 30 ms."""
     return SCENES.load_all()
 
 
@@ -166,7 +166,7 @@ def reader_of(path: str) -> SceneReader | None:
 
 
 def scene_of(source: SceneSource) -> Scene:
-    """Makes or reads a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
+    """Make or read a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
 
     Raises:
         InputError: the package that makes such scenes is not installed.
@@ -178,7 +178,7 @@ def scene_of(source: SceneSource) -> Scene:
 
 
 def scene_files(maker: str) -> SceneReader:
-    """The reader and writer of a maker's files, such as ``habitat``.
+    """Return the reader and writer of a maker's files, such as ``habitat``.
 
     Raises:
         InputError: the package that has it is not installed.
@@ -212,7 +212,7 @@ def missing_packages() -> str:
 
 
 def _is_ours(path: Path) -> bool:
-    """Returns whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
+    """Return whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
     from h3data.mesh.glb import unpack_glb
 
     if path.suffix.lower() != ".glb" or not path.is_file():

@@ -55,7 +55,7 @@ def compare_paired(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> PairedComparison:
-    """Compares one value per episode id of two runs.
+    """Compare one value per episode id of two runs.
 
     Methods (all two-sided) and their effect sizes:
     ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
@@ -149,7 +149,7 @@ def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
 
 
 def _exact_p(d: NDArray[np.float64]) -> float:
-    """The share of all patterns of signs whose sum is at least as far from 0 as that of ``d``; 1 of no differences."""
+    """Return the share of all patterns of signs whose sum is at least as far from 0 as that of ``d``; 1 of no differences."""
     sums = d[:1]  # the other sign of the first mirrors all sums
     for value in d[1:]:
         sums = np.concatenate([sums + value, sums - value])
@@ -157,7 +157,7 @@ def _exact_p(d: NDArray[np.float64]) -> float:
 
 
 def _rounding(d: NDArray[np.float64]) -> float:
-    """Sums that differ by less are equal but for rounding."""
+    """Return sums that differ by less are equal but for rounding."""
     return 1e-12 * float(np.abs(d).sum())
 
 
@@ -213,6 +213,6 @@ def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]
 
 
 def some_of(names: Sequence[str], most: int = 5) -> str:
-    """The first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
+    """Return the first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more or "none"

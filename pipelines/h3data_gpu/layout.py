@@ -33,7 +33,7 @@ class Struct(ctypes.Structure):
     """A struct that is filled by field name; a tensor stands for its address."""
 
     def fill(self, **values: Any) -> None:
-        """Sets fields by name; a tensor stands for the address of its data."""
+        """Set fields by name; a tensor stands for the address of its data."""
         for name, value in values.items():
             setattr(self, name, value.data_ptr() if hasattr(value, "data_ptr") else value)
 

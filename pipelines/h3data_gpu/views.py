@@ -32,7 +32,7 @@ class Variant(NamedTuple):
 
 
 def choose_variant(worlds: int, width: int, height: int) -> Variant:
-    """The fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
+    """Return the fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
     pixels, longer = worlds * width * height, max(width, height)
     if worlds < 64:
         few = Variant(8, 8, 4) if pixels < 100_000 else Variant(16, 8, 4)
@@ -115,7 +115,7 @@ def depth_range(camera: Camera) -> tuple[float, float]:
 
 
 def tensor_of(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """An array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
+    """Return an array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
     import torch
 
     if array.dtype.fields is not None:

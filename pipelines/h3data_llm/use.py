@@ -74,7 +74,7 @@ LLM_METRICS = (
 
 
 def compute_use(recording: Recording, notes: Notes) -> Computed:
-    """Computes the metrics of the profile.
+    """Compute the metrics of the profile.
 
     Raises:
         MissingColumnsError: no language model has played.

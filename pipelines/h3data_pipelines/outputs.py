@@ -44,13 +44,13 @@ class Target:
 
     @classmethod
     def named(cls, folder: Path, stem: str, camera: str, output: Output, format: Format) -> Target:
-        """The target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
+        """Return the target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
         form = _FORMS[format][min(OUTPUTS.index(output), 2)]
         return cls(output, form, folder / f"{stem}.{camera}.{output}{_SUFFIXES[form]}")
 
     @property
     def colored(self) -> bool:
-        """Returns whether depth and ids are stored as colours."""
+        """Return whether depth and ids are stored as colours."""
         return self.form in ("h264", "av1")
 
     @property
@@ -63,7 +63,7 @@ class Target:
         return "z-depth in millimetres, 0 = nothing hit" if self.output == "depth" else "id + 1, 0 = nothing hit"
 
     def open(self, camera: Camera, fps: float, picture: ToPicture) -> AbstractContextManager[Sink]:
-        """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs."""
+        """Return a sink for the frames. The target gets its name at the end of the block, unless an exception occurs."""
         if self.form == "png":
             return _open_folder(self.path, picture, ids=self.output in ("instance", "semantic"))
         return _open_video(self, camera, fps, picture)
@@ -73,11 +73,11 @@ class Sink(Protocol):
     """Stores frames in two steps."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
-        """The work that can run in any thread and any order; the result goes to `write`."""
+        """Return the work that can run in any thread and any order; the result goes to `write`."""
         ...
 
     def write(self, frame: Any) -> None:
-        """Stores a frame; called in the order of frames."""
+        """Store a frame; called in the order of frames."""
         ...
 
 

@@ -299,7 +299,7 @@ def record_tracks(
 
 
 def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_], bool]:
-    """The poses [T, 7] and which are observed [T], and whether the headings are those of motion."""
+    """Return the poses [T, 7] and which are observed [T], and whether the headings are those of motion."""
     poses, made_up = track.poses, False
     if not np.isfinite(poses[:, 3:]).all():
         poses = ground_pose(poses[:, [0, 2]], headings_of_motion(track.time_ns, poses[:, [0, 2]]), 0.0).astype(

@@ -248,7 +248,7 @@ minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions
 
 
 def recipe(name: str, **changes: Any) -> Settings:
-    """A recipe with some settings changed; None changes nothing.
+    """Return a recipe with some settings changed; None changes nothing.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.

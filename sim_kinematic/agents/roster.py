@@ -46,7 +46,7 @@ def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
 def make_roster(
     agents: str | Sequence[str | Robot], *, robot: str | Path | Robot = ROBOT_BODY, human: str = HUMAN_BODY
 ) -> tuple[AgentSpec, ...]:
-    """Returns the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
+    """Return the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
 
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
@@ -98,7 +98,7 @@ def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
 
 
 def _stored(model: str) -> str:
-    """The name by which recordings know a person; ``+walk.npz`` alone is the default body."""
+    """Return the name by which recordings know a person; ``+walk.npz`` alone is the default body."""
     if JOIN not in model:
         return model
     from h3data.bodies.names import stored_name
@@ -122,7 +122,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Returns whether a name that is no kind of agent means a person.
+    """Return whether a name that is no kind of agent means a person.
 
     People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
     """
@@ -132,7 +132,7 @@ def is_person(name: str) -> bool:
 
 
 def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:
-    """Returns the kind of each agent."""
+    """Return the kind of each agent."""
     return tuple(agent.kind for agent in roster)
 
 

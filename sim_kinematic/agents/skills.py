@@ -86,7 +86,7 @@ REASONS = {
 
 
 def sentence(reason: str) -> str:
-    """The sentence for a recorded reason; an unknown one is repeated as it is."""
+    """Return the sentence for a recorded reason; an unknown one is repeated as it is."""
     return REASONS.get(reason, f"It was not possible ({reason}).")
 
 
@@ -122,7 +122,7 @@ class Destination(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Destination:
-        """The destination that ``str`` wrote."""
+        """Return the destination that ``str`` wrote."""
         place, _, next_to = text.partition(" next to ")
         return cls(place, next_to)
 
@@ -172,7 +172,7 @@ Skill = Generator[None, None, SkillResult]
 
 @lru_cache(maxsize=64)
 def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) -> tuple[Action, ...]:
-    """All actions that an agent can choose among, in the order in which learned policies number them.
+    """Return all actions that an agent can choose among, in the order in which learned policies number them.
 
     They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
     actions, or 4 K + 1 for a person. `OPENING_SKILLS` with each of the joints ``parts`` follow, which a task names.
@@ -191,7 +191,7 @@ class LearnedSkill(Protocol):
         ...
 
     def start(self, actor: Any, action: Action) -> Skill:
-        """Begins an action; the skill that is returned advances by one step at each iteration."""
+        """Begin an action; the skill that is returned advances by one step at each iteration."""
         ...
 
 
@@ -229,12 +229,12 @@ class Objects:
         """Agent that holds each, [K]; a view."""
 
     def held(self, agent: int) -> int:
-        """Index of what an agent holds, -1 = nothing."""
+        """Return the index of what an agent holds, -1 = nothing."""
         holders = self.held_by.tolist()
         return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
-        """The pre-conditions that both kinds of actors share."""
+        """Return the pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
         is_known = skill in SKILLS or (self.joints and skill in OPENING_SKILLS)
         if not is_known and not (skill == SEARCH and self.sight is not None):

@@ -62,7 +62,7 @@ def _search(
     parents,
     moved,
 ):
-    """Searches for a maneuver; returns the number of its last node, or -1 if there is none.
+    """Search for a maneuver; return the number of its last node, or -1 if there is none.
 
     Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
     heading at the end, to within ``facing`` [rad]. If ``slides``, the first move slides along obstacles as in
@@ -170,7 +170,7 @@ def plan_maneuver(
     within_m: float = 0.05,
     bearing: float | None = None,
 ) -> NDArray[np.float64]:
-    """Returns commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
+    """Return commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
 
     They lead past the next `GAIN_M` of path, or to within ``within_m`` of the goal and, there, to a heading ``bearing`` [rad].
     Empty where no maneuver does.
@@ -266,6 +266,6 @@ def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:
-    """Returns the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
+    """Return the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
     dx, dz = point - xz
     return float(wrap_angle(math.atan2(-dz, dx) - reach))

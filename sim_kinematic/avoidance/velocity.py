@@ -28,7 +28,7 @@ _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.
 
 @kernel(error_model="numpy")
 def least_gap(x, z, heading, other_x, other_z, hull, reach):
-    """Returns the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
+    """Return the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
     least = math.inf
     for offset in hull:
         dx = x + math.cos(heading) * offset - other_x
@@ -39,7 +39,7 @@ def least_gap(x, z, heading, other_x, other_z, hull, reach):
 
 @kernel(error_model="numpy")
 def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
-    """Rolls out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
+    """Roll out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
 
     The base stays where it would touch an obstacle. The least gap to each other agent goes to ``gaps`` [N]; later gaps count
     as wider by a doubt [m/s]. The trial ends early where an agent lacks ``enough`` of its margin already.
@@ -72,7 +72,7 @@ def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base,
 def choose_command(
     sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, levels, gaps
 ):
-    """Number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
+    """Return the number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
 
     Others [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``; ``before`` is NaN where it does
     not count. ``gaps`` [N] is room to work in.
@@ -148,7 +148,7 @@ def keep_clear(
     others: Sequence[ObstacleDisc],
     before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
+    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
     most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.
@@ -213,7 +213,7 @@ def _within(wanted: float, before: float, up: float, down: float) -> float:
 
 
 def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
-    """Returns the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
+    """Return the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
     return math.sqrt(2.0 * accel * max(left, 0.0) + last * last)
 
 
@@ -224,7 +224,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
-    """Returns whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
+    """Return whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
     other_x, other_z = other.xz
     gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]

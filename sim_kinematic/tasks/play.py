@@ -41,7 +41,7 @@ class Rules(Protocol):
 
     @property
     def codec(self) -> Any:
-        """Says whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
+        """Say whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
         ...
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
@@ -143,7 +143,7 @@ class WorldRollout:
     def of(
         cls, task: Rules, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
     ) -> WorldRollout:
-        """One episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+        """Return one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
 
         ``measure=False`` leaves out what only rewards need.
 

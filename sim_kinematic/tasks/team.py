@@ -249,7 +249,7 @@ class MotionTeam(Team):
         return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
 
     def _handling(self) -> list[int]:
-        """Numbers of the people who may handle things."""
+        """Return numbers of the people who may handle things."""
         return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:

@@ -59,7 +59,7 @@ class BaseMotion(NamedTuple):
     """Turn to the left, after the move [rad]."""
 
     def of(self, base_pose: ArrayLike) -> Array:
-        """The pose7 of a root at ``base_pose`` after this move."""
+        """Return the pose7 of a root at ``base_pose`` after this move."""
         step = ground_pose(np.array([self.forward_m, self.right_m]), np.array(self.turn_rad))
         return pose_multiply(np.asarray(base_pose, np.float64), step)
 
@@ -86,7 +86,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
-        """Returns whether the point can be reached."""
+        """Return whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -104,7 +104,7 @@ class ReachPoses(NamedTuple):
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """The pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.
@@ -158,13 +158,13 @@ def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> 
 
 @lru_cache(maxsize=64)
 def grasp_point(body: Humanoid, hand: Hand) -> Array:
-    """The palm's grasp point in the wrist's frame, shape [3] [m]."""
+    """Return the palm's grasp point in the wrist's frame, shape [3] [m]."""
     return PALM_SHARE * body.joint_offsets[JOINT_INDEX[f"{hand}_middle1"]] - [0, PALM_DROP * _shoulder(body), 0]
 
 
 @lru_cache(maxsize=64)
 def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
-    """The solver of one hand, made once per body (5 ms)."""
+    """Return the solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
         raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
     return ReachSolver(body, hand)
@@ -187,7 +187,7 @@ class Table(NamedTuple):
 
 @lru_cache(maxsize=1)
 def reach_table() -> Table:
-    """The table that ships, read once."""
+    """Return the table that ships, read once."""
     path = builtin_path(TABLE_FILE)
     data = read_arrays(path, TABLE_FORMAT)
     # whole numbers in the file, each parameter with a unit of its own
@@ -241,7 +241,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Returns at which of the points [T, 3] the hand would arrive."""
+        """Return at which of the points [T, 3] the hand would arrive."""
         return self.poses(targets).status == kernel.REACHED
 
     @property
@@ -289,7 +289,7 @@ class ReachSolver:
         return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)
 
     def _towards(self, starts: Array, ends: Array) -> Array:
-        """Returns how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
+        """Return how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
         low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
         # ten halvings leave a thousandth of the line
         for _ in range(10):
@@ -317,7 +317,7 @@ def _points(targets: ArrayLike) -> Array:
 
 # --- what the kernel knows of a body ------------------------------------------------------------------------------------
 def _shoulder(body: Humanoid) -> float:
-    """Height of the shoulders in the zero pose [m]."""
+    """Return the height of the shoulders in the zero pose [m]."""
     chain = ("pelvis", "spine1", "spine2", "spine3", "right_collar", "right_shoulder")
     return float(add_up(body.joint_offsets[JOINT_INDEX[name], 1] for name in chain))
 

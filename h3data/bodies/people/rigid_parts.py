@@ -32,7 +32,7 @@ class RigidPart(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rigid_parts(body: Humanoid, style: PeopleStyle) -> tuple[RigidPart, ...]:
-    """The parts of a person; none for ``skin``."""
+    """Return the parts of a person; none for ``skin``."""
     if style == "capsules":
         return tuple(
             RigidPart(c.name, c.joint, capsule_mesh(c.start, c.end, c.radius, color=CAPSULE_COLOR))

@@ -103,7 +103,7 @@ class SkinBounds(NamedTuple):
 def build_skin_bounds(
     vertices: NDArray[np.float32], joints: NDArray[np.integer], weights: NDArray[np.float32], inverse_bind: Array
 ) -> SkinBounds:
-    """Computes the bounding spheres of a mesh.
+    """Compute the bounding spheres of a mesh.
 
     Args:
         vertices: vertices at rest [V, 3] [m].

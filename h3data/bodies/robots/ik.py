@@ -169,7 +169,7 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
 
 
 def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) -> NDArray[np.int64]:
-    """Columns of the joints that may move."""
+    """Return columns of the joints that may move."""
     from h3data.bodies.robots.kinematics import BALL, FIXED
 
     moving = chain[robot.kinds[chain] != FIXED]

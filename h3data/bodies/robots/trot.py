@@ -121,7 +121,7 @@ def trot(
 
 
 def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
-    """Returns whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
+    """Return whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
     columns = [c for leg in robot.legs for c in leg.columns]
     return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
 

@@ -121,7 +121,7 @@ REARRANGEMENT: tuple[Metric, ...] = (
 
 
 def rearrangement_series(recording: Recording) -> Series:
-    """Computes ``done`` (the task is completed), ``at_goal_count`` and ``collision``, each [T], as far as recorded."""
+    """Compute ``done`` (the task is completed), ``at_goal_count`` and ``collision``, each [T], as far as recorded."""
     series: dict[str, NDArray] = {}
     if AT_GOAL in recording.columns:
         at_goal = _at_goal(recording)
@@ -137,7 +137,7 @@ def rearrangement_series(recording: Recording) -> Series:
 
 
 def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
-    """Computes SR, RE, CR, RC and TS.
+    """Compute SR, RE, CR, RC and TS.
 
     Raises:
         MissingColumnsError: none of the columns is there.

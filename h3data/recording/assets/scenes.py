@@ -15,7 +15,7 @@ from h3data.scene.kinds import KINDS
 # Episodes of a run often share their home.
 @lru_cache(maxsize=4)
 def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
-    """Assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
+    """Return assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
     assets = tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets)
     bodies = tuple(
         Body(

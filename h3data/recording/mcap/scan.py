@@ -42,7 +42,7 @@ class McapRecords:
     fault: str | None = None
 
     def channel_of(self, topic: str) -> int | None:
-        """Id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
+        """Return the id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:
@@ -73,7 +73,7 @@ def decoding_errors() -> tuple[type[Exception], ...]:
 
 
 def scan_records(data: bytes) -> McapRecords:
-    """All records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
+    """Return all records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
     log = McapRecords(size=len(data))
     if data[: len(MAGIC)] != MAGIC:
         log.fault = "empty" if not data else f"starts with {data[:8]!r}"
@@ -113,13 +113,13 @@ def scan_records(data: bytes) -> McapRecords:
 
 
 def check_crc(expected: int, data: memoryview, what: str) -> None:
-    """Raises a `ValueError` if there is a checksum (not 0) and the data have another."""
+    """Raise a `ValueError` if there is a checksum (not 0) and the data have another."""
     if expected and zlib.crc32(data) != expected:
         raise ValueError(f"the checksum of the {what} does not match")
 
 
 def take(log: McapRecords, opcode: int, body: memoryview) -> None:
-    """Adds the contents of one record to the log; skips indexes and unknown records."""
+    """Add the contents of one record to the log; skip indexes and unknown records."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
@@ -177,7 +177,7 @@ def decompress(body: memoryview) -> bytes:
 
 
 def take_beginning(log: McapRecords, body: memoryview) -> None:
-    """Adds the records of a chunk whose end is missing, as far as its compressed blocks (of up to 128 KiB) are complete.
+    """Add the records of a chunk whose end is missing, as far as its compressed blocks (of up to 128 KiB) are complete.
 
     No checksum covers them: the chunk's own is that of the whole chunk.
     """
@@ -202,7 +202,7 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
 
 
 def _take_chunk(log: McapRecords, data: bytes, *, whole: bool = True) -> None:
-    """Sorts the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
+    """Sort the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
     view, position, size = memoryview(data), 0, len(data)
     skip, unpack, messages = RECORD_HEAD.size + _MESSAGE_HEAD, MESSAGE.unpack_from, log.messages
     while position < size:

@@ -62,7 +62,7 @@ class McapSteps(Steps):
         return self._steps
 
     def close(self) -> None:
-        """Closes the log and drops the decompressed chunks from memory."""
+        """Close the log and drop the decompressed chunks from memory."""
         self._file.close()
         self._kept.clear()
 
@@ -119,7 +119,7 @@ class McapSteps(Steps):
 
     # --- private ---
     def _reported(self, read: Callable[[], _T], what: str) -> _T:
-        """The result of ``read``; a `FormatError` if the bytes it meets are damaged."""
+        """Return the result of ``read``; a `FormatError` if the bytes it meets are damaged."""
         try:
             return read()
         except FormatError as error:
@@ -142,7 +142,7 @@ class McapSteps(Steps):
         return opcode, memoryview(self._bytes(offset + RECORD_HEAD.size, length))
 
     def _read_summary(self) -> None:
-        """Reads schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
+        """Read schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics
 
@@ -184,7 +184,7 @@ class McapSteps(Steps):
         check_kind(log, self.path)
 
     def _reconstruct(self) -> None:
-        """Adds the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
+        """Add the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
         if self._metadata_records != 0:
             raise FormatError(
                 "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that.",
@@ -196,7 +196,7 @@ class McapSteps(Steps):
         reconstruct(self._log, self.path, steps=steps, first=first)
 
     def _places_of(self, channel: int) -> list[int]:
-        """Number of messages of a channel before each chunk, and in all chunks together."""
+        """Return the number of messages of a channel before each chunk, and in all chunks together."""
         counts = []
         for chunk in self._chunks:
             offset = chunk.message_index_offsets.get(channel)
@@ -241,7 +241,7 @@ class McapSteps(Steps):
             start, number = chunk_stop, number + 1
 
     def _with_steps(self, start: int, stop: int) -> McapRecords:
-        """The log's records with only these steps."""
+        """Return the log's records with only these steps."""
         return replace(self._log, messages={c: list(self._messages(c, start, stop)) for c in self._per_step})
 
     def _whole(self, start: int, stop: int, *topics: str) -> Recording:

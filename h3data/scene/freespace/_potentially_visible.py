@@ -51,7 +51,7 @@ def _interval(x: float, z: float, dx: float, dz: float, corners: NDArray) -> tup
 
 @kernel()
 def _block(low: float, high: float, spans: NDArray, count: int) -> int:
-    """Adds an interval to sorted disjoint ones ``spans`` [.., 2]; returns how many there are then."""
+    """Add an interval to sorted disjoint ones ``spans`` [.., 2]; return how many there are then."""
     first = 0
     while first < count and spans[first, 1] < low - MERGE_RAD:
         first += 1

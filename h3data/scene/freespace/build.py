@@ -153,7 +153,7 @@ def build_from_walkable(
     key: str = "",
     heights: NDArray[np.float64] = LEVEL,
 ) -> FloorMap:
-    """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
+    """Return the free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
 
     Islands smaller than ``island_min_m2`` are left out, but for the largest.
     """
@@ -280,7 +280,7 @@ def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_
 
 
 def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: float | None) -> float:
-    """Height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
+    """Return the height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
     # no height is wanted: the floor has to be told from roofs, tables and beds
     if floor_y is None:
         order = np.argsort(component, kind="stable")
@@ -300,7 +300,7 @@ def _exact_level(triangles: NDArray, level: float, cell: float) -> float:
 
 
 def _shape_bytes(shape: Shape) -> bytes:
-    """A shape as bytes for hashing, its kind first."""
+    """Return a shape as bytes for hashing, its kind first."""
     if isinstance(shape, Box):
         parts = (b"b", shape.pose, shape.half_extents)
     elif isinstance(shape, Cylinder):

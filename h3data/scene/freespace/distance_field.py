@@ -28,7 +28,7 @@ class DistanceField:
 
     @classmethod
     def to(cls, graph: Graph, goals: NDArray[np.float64]) -> DistanceField:
-        """The field of goals [K, 2] on the free area; without any, every distance is infinite."""
+        """Return the field of goals [K, 2] on the free area; without any, every distance is infinite."""
         goals = np.ascontiguousarray(goals, np.float64)
         return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
 

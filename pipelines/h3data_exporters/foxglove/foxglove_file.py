@@ -108,7 +108,7 @@ def write_foxglove(
 
 
 def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
+    """Export one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
     (recording,) = recordings
     replay = Replay(recording, assets=request.assets, people=request.people, detail=False, stand_ins=request.stand_ins)
     recording = replay.recording

@@ -185,7 +185,7 @@ class Undecodable(Exception):
 
 
 def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[Keyframe]:
-    """Yields the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
+    """Yield the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
 
     A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
     with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.

@@ -32,7 +32,7 @@ _GENERIC_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets
 
 
 def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -> Recording:
-    """Reads the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
+    """Read the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
 
     A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the rendered nodes, asset names, nothing else. So:
 
@@ -189,13 +189,13 @@ def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
 
 
 def _plus_zero(axis: Sequence[float]) -> tuple[float, float, float]:
-    """The axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
+    """Return the axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
     x, y, z = (float(v) + 0.0 for v in axis)
     return (x, y, z)
 
 
 def _short_name(uri: str) -> str:
-    """A descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
+    """Return a descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
     if uri.startswith("primitive:"):
         return uri.removeprefix("primitive:").split("_", 1)[0]
     parts = PurePosixPath(uri)
@@ -205,7 +205,7 @@ def _short_name(uri: str) -> str:
 
 
 def _unique(name: str, used: dict[str, int]) -> str:
-    """The name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
+    """Return the name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
     # from the last number on: thousands of instances share a name, and counting from 1 takes their square
     candidate, number = name, used.get(name, 0)
     while candidate in used:

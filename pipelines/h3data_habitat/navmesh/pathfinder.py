@@ -86,7 +86,7 @@ class PathFinder:
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def find_path(self, path: ShortestPath | MultiGoalShortestPath) -> bool:
-        """Fills ``points`` and ``geodesic_distance`` of the path; False, with inf and no points, if there is none."""
+        """Fill ``points`` and ``geodesic_distance`` of the path; False, with inf and no points, if there is none."""
         several = isinstance(path, MultiGoalShortestPath)
         ends = _points(path.requested_ends) if several else _point(path.requested_end)[None]
         found = self._paths(path.requested_start, ends)
@@ -140,18 +140,18 @@ class PathFinder:
 
     # --- where one may be -----------------------------------------------------------------------------------------------
     def snap_point(self, point: ArrayLike, island_index: int = _ANY) -> NDArray[np.float64]:
-        """The nearest point [3] of the navmesh (or of one island), NaN if no polygon is within (2, 4, 2) m."""
+        """Return the nearest point [3] of the navmesh (or of one island), NaN if no polygon is within (2, 4, 2) m."""
         return np.array(self._nearest(point, self._island(island_index))[1:])
 
     def is_navigable(self, point: ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Returns whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
+        """Return whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
         x, y, z = _point(point)
         return navigable(self._surface, x, y, z, float(max_y_delta)) >= 0
 
     def get_random_navigable_point(
         self, rng: np.random.Generator, *, island_index: int = _ANY, n: int | None = None
     ) -> NDArray[np.float64]:
-        """A random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
+        """Return a random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
         triangles, summed = self._sampling(self._island(island_index))
         u = rng.random((1 if n is None else n, 3))
         # clipped, because rounding may put a number beyond the last sum
@@ -179,16 +179,16 @@ class PathFinder:
 
     # --- steps ----------------------------------------------------------------------------------------------------------
     def try_step(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Returns where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
+        """Return where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), True))
 
     def try_step_no_sliding(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Returns where a step ends [3] that stops at the first wall."""
+        """Return where a step ends [3] that stops at the first wall."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), False))
 
     # --- walls ----------------------------------------------------------------------------------------------------------
     def closest_obstacle_surface_point(self, point: ArrayLike, max_search_radius: float = 2.0) -> HitRecord:
-        """The border of the navmesh nearest to a point [3], as reached along the floor."""
+        """Return the border of the navmesh nearest to a point [3], as reached along the floor."""
         polygon, x, _, z = self._nearest(point)
         nothing = np.full(3, np.nan)
         if polygon < 0:
@@ -200,7 +200,7 @@ class PathFinder:
         return HitRecord(hit_pos=hit, hit_normal=normal, hit_dist=float(distance))
 
     def distance_to_closest_obstacle(self, point: ArrayLike, max_search_radius: float = 2.0) -> float:
-        """Distance [m] on the floor from a point [3] to the border of the navmesh, at most ``max_search_radius``."""
+        """Return the distance [m] on the floor from a point [3] to the border of the navmesh, at most ``max_search_radius``."""
         return self.closest_obstacle_surface_point(point, max_search_radius).hit_dist
 
     # --- islands, areas, maps -------------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ class PathFinder:
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:
-        """Area of an island [m2], of all for -1."""
+        """Return the area of an island [m2], of all for -1."""
         k = self._island(island_index)
         return self.navigable_area if k < 0 else float(self.navmesh.island_areas[k])
 
@@ -268,7 +268,7 @@ class PathFinder:
         return out
 
     def get_height(self, point: ArrayLike) -> float:
-        """Height of the floor [m] nearest to a point [3]; NaN off the navmesh."""
+        """Return the height of the floor [m] nearest to a point [3]; NaN off the navmesh."""
         polygon, x, _, z = self._nearest(point)
         return float(height(self._surface, polygon, x, z)) if polygon >= 0 else float("nan")
 
@@ -285,7 +285,7 @@ class PathFinder:
         return index
 
     def _sampling(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Triangles [M, 3, 3] to sample from and their summed areas [M]."""
+        """Return triangles [M, 3, 3] to sample from and their summed areas [M]."""
         known = self._sampling_cache
         if island not in known:
             t = self.navmesh.triangles(island=None if island < 0 else island).astype(np.float64)

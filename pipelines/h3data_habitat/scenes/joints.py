@@ -101,7 +101,7 @@ def articulation_of(
 
 
 def _movers(robot: Robot, joints: Mapping[int, Joint]) -> list[int]:
-    """The link with a joint that moves each link, itself or the nearest above it; -1: none."""
+    """Return the link with a joint that moves each link, itself or the nearest above it; -1: none."""
     mover: list[int] = []
     for k, link in enumerate(robot.links):  # parents come first
         mover.append(k if k in joints else mover[link.parent] if link.parent >= 0 else -1)
@@ -116,7 +116,7 @@ def _enclosed(
     back: Array,
     body: Array,
 ) -> tuple[str, ...]:
-    """Receptacles that a part shuts off: those of a drawer itself, and those behind a door."""
+    """Return receptacles that a part shuts off: those of a drawer itself, and those behind a door."""
     if joint.kind == "prismatic":
         return tuple(f"{i.name}|{r.name}" for i in own for r in assets[i.asset].receptacles)
     if joint.rest != joint.closed or not own:  # an open door does not say what is behind it

@@ -66,7 +66,7 @@ class Proposition(msgspec.Struct, frozen=True):
 
     @property
     def is_same(self) -> bool:
-        """Returns whether all of them have to be at the same thing of the second list."""
+        """Return whether all of them have to be at the same thing of the second list."""
         return bool(self.args.get(_SAME.get(self.function_name, ""), False))
 
 

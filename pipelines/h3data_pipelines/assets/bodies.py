@@ -52,7 +52,7 @@ class BodiesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders the bodies, and returns their names and sizes."""
+        """Render the bodies, and return their names and sizes."""
         from h3data.render.image_files import write_image
 
         names = self._names()
@@ -155,7 +155,7 @@ class BodiesBake:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the body's .npz file.
+        """Write the body's .npz file.
 
         Raises:
             InputError: a parameter is out of range.

@@ -63,7 +63,7 @@ def export(
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
-    """Writes recordings as files of other programs; options as of ``h3data export``.
+    """Write recordings as files of other programs; options as of ``h3data export``.
 
     Returns:
         The file or folder.
@@ -124,7 +124,7 @@ class Export:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the recordings in the other format and returns the files."""
+        """Write the recordings in the other format and return the files."""
         form = export_format(self.to)
         if self.backend != "cpu" and "cameras" not in form.write_options:
             raise InputError(

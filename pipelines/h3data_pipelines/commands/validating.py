@@ -56,7 +56,7 @@ class Validate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Checks all episodes, in several processes if asked to, and returns the findings."""
+        """Check all episodes, in several processes if asked to, and return the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
@@ -79,7 +79,7 @@ class Validate:
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
-        """Findings in one recording, which ``read`` returns."""
+        """Return findings in one recording, which ``read`` returns."""
         from h3data_pipelines.validation.recordings import Finding, validate_recording
 
         steps = 0
@@ -109,7 +109,7 @@ class Validate:
 
 
 def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
-    """The rows of a part."""
+    """Return the rows of a part."""
     from h3data.recording.assets.library import AssetLibrary
 
     library = AssetLibrary(command.assets)

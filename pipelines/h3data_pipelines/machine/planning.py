@@ -55,7 +55,7 @@ class Plan:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the forecast for several numbers of cores, or the costs measured on this machine."""
+        """Return the forecast for several numbers of cores, or the costs measured on this machine."""
         for name in ("episodes", "cores", "datasets", "scenes"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.", code="H3-MACHINE-017")

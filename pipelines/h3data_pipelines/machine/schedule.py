@@ -42,7 +42,7 @@ class Schedule:
 
 
 def simulate_schedule(load: Workload, workers: int, *, datasets: int = 1) -> Schedule:
-    """Plays the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
+    """Play the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
 
     Workers take shards in order. The writer of a job takes results in order, one at a time; when `AHEAD` results per worker
     wait for it, workers wait too.

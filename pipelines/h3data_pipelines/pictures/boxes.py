@@ -23,7 +23,7 @@ class Boxes(NamedTuple):
 
 
 def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
-    """Boxes around the visible pixels of each id in an instance or semantic image [H, W].
+    """Return boxes around the visible pixels of each id in an instance or semantic image [H, W].
 
     ``groups`` maps ids (0, 1, ...) to the id of the body that they belong to, e.g. the links of a robot to the robot; -1
     leaves an id out.
@@ -65,7 +65,7 @@ def _grouped(ids: ArrayLike, groups: ArrayLike | None) -> NDArray[np.integer]:
 def draw_boxes(
     image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
 ) -> None:
-    """Draws boxes [B, 4] (see `visible_boxes`) with labels, in colours [B, 3]."""
+    """Draw boxes [B, 4] (see `visible_boxes`) with labels, in colours [B, 3]."""
     import cv2
 
     rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)

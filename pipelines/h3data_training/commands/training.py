@@ -160,7 +160,7 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Trains the policy and returns where its weights are and how well it does."""
+        """Train the policy and return where its weights are and how well it does."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:
@@ -221,7 +221,7 @@ class Train:
         return Outcome(text=_summary(result, settings.task), data=result.as_data(), result=result)
 
     def _settings(self) -> tuple[str, Settings]:
-        """The recipe's name and the settings of social navigation or a skill."""
+        """Return the recipe's name and the settings of social navigation or a skill."""
         from h3data_training.settings import recipe
         from h3data_training.skills.settings import skill_recipe
 
@@ -295,7 +295,7 @@ class Train:
 
 
 def _first(name: str) -> VisualPolicy:
-    """The trained policy of a name."""
+    """Return the trained policy of a name."""
     from sim_kinematic.policies.learned import is_learned, network_of
     from sim_kinematic.policies.visual_policy import VisualPolicy
 
@@ -308,7 +308,7 @@ def _first(name: str) -> VisualPolicy:
 
 
 def _cost(settings: Settings) -> dict[str, int]:
-    """Sizes that decide whether a run fits on a machine [bytes]."""
+    """Return sizes that decide whether a run fits on a machine [bytes]."""
     from sim_kinematic.policies.visual_policy import PICTURES
 
     s = settings

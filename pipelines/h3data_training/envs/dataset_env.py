@@ -254,7 +254,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return float(first)
 
     def _keep(self, recorder: Recorder) -> None:
-        """Writes the recording of an episode that has just ended."""
+        """Write the recording of an episode that has just ended."""
         play = recorder.play
         if play.over and self.record is not None:
             self.record.mkdir(parents=True, exist_ok=True)
@@ -289,7 +289,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return self._watcher.picture(self._posed(), self._number)
 
     def _posed(self) -> StateRenderer:
-        """Returns the renderer of the home, with everybody posed as replays of recordings pose them.
+        """Return the renderer of the home, with everybody posed as replays of recordings pose them.
 
         People set their feet along the track of the whole episode so far. Clips, as other environments show them, would put
         arms and legs elsewhere than the videos have them.
@@ -308,7 +308,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return drawn
 
     def _walk(self, play: WorldRollout) -> None:
-        """Lets people set their feet where the step that has just been made took them."""
+        """Let people set their feet where the step that has just been made took them."""
         for k, member in enumerate(play.world.roster):
             if not isinstance(member.body, Humanoid):
                 continue
@@ -361,7 +361,7 @@ def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
 
 
 def _shown(shown: Demonstrations, names: Sequence[str] | None, first: Recording) -> list[tuple[Any, int]]:
-    """The cameras to show, each with the number of the agent that carries it."""
+    """Return the cameras to show, each with the number of the agent that carries it."""
     known = {camera.key.removeprefix("observation.images."): camera for camera in shown.cameras}
     agents = {agent.name: number for number, agent in enumerate(first.agents)}
     chosen = list(known) if names is None else list(names)

@@ -153,7 +153,7 @@ class _Sampler(RecurrentSkillPolicy):
         return chosen
 
     def decisions(self, rewards: Sequence[float], gamma: float, partner: str) -> Decisions:
-        """All decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
+        """Return all decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
         columns = (np.array(column) for column in zip(*self.rows, strict=True))
         each, rest, pictures, told, state, allowed, chosen, log_prob = columns
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
@@ -191,7 +191,7 @@ def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Arra
 
 
 def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
-    """Plays one training episode."""
+    """Play one training episode."""
     objects = len(episode.targets)
     samplers: dict[str, _Sampler] = {}
     policies = []
@@ -235,7 +235,7 @@ class Players:
         device: str = "cpu",
         say: Callable[[str], None] = lambda line: None,
     ) -> None:
-        """Prepares players of some episodes; ``device`` is that on which others learn from them."""
+        """Prepare players of some episodes; ``device`` is that on which others learn from them."""
         global _EPISODES
         self.device = device
         _EPISODES = self._episodes = tuple(episodes)
@@ -253,11 +253,11 @@ class Players:
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compiles and loads code once, before there are several processes, by playing the first of some episodes."""
+        """Compile and load code once, before there are several processes, by playing the first of some episodes."""
         self.play(jobs[:1])
 
     def play(self, jobs: Sequence[Job]) -> Batch:
-        """Plays some episodes, in their order; those that raise are left out.
+        """Play some episodes, in their order; those that raise are left out.
 
         Raises:
             H3DataError: processes are lost again and again, or every episode raises.
@@ -297,7 +297,7 @@ class Players:
         return self._pool.map(_tried, jobs)
 
     def close(self) -> None:
-        """Ends the processes."""
+        """End the processes."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None

@@ -36,7 +36,7 @@ BOTH = "both"
 
 
 def rules_of(walk: str) -> RearrangeSpec:
-    """The rules of episodes in which people walk like this, with the paper's reward."""
+    """Return the rules of episodes in which people walk like this, with the paper's reward."""
     return RearrangeSpec(max_steps=LONGEST[walk], human=WALKERS[walk])
 
 
@@ -171,7 +171,7 @@ class PopulationSettings:
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:
-        """Number of chunks in a minibatch of one of the learning policies.
+        """Return the number of chunks in a minibatch of one of the learning policies.
 
         Each of P partners plays in one of P episodes. Their minibatches are smaller by this factor, so that all
         policies make the same number of gradient steps in an update, but not smaller than `LEAST_CHUNKS`.
@@ -182,14 +182,14 @@ class PopulationSettings:
         return max(least, self.chunks_per_minibatch // len(self.partners))
 
     def observations_of(self, agent: str) -> tuple[str, ...]:
-        """Observations of a learner, the ``robot`` or a ``human``."""
+        """Return observations of a learner, the ``robot`` or a ``human``."""
         is_hidden = HUMANOID_GPS in self.without
         if agent == ROBOT and self.pixels:
             return tuple(name for name in PIXELS if not (is_hidden and name in SENSES and SENSES[name].of_other))
         return WITHOUT_OTHER if agent == ROBOT and is_hidden else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
-        """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
+        """Return the partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
         block, place = divmod(episode, len(self.partners))
         order = generator(seed, f"partners/{self.population}", step=block).permutation(len(self.partners))
         return self.partners[int(order[place])]
@@ -248,7 +248,7 @@ temperature was chosen on val homes (h3data docs populations)."""
 
 
 def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
-    """A recipe of rearrangement, or our own settings for None, with some settings changed; None changes nothing.
+    """Return a recipe of rearrangement, or our own settings for None, with some settings changed; None changes nothing.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.

@@ -27,7 +27,7 @@ class RobotTensors(NamedTuple):
 
     @classmethod
     def of(cls, state: RobotState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """The robots on a device."""
+        """Return the robots on a device."""
         xz, heading = _on_device([state.xz, state.heading], device, dtype)
         return cls(xz, heading, torch.tensor(state.contact, device=device))
 
@@ -51,7 +51,7 @@ class HumanTensors(NamedTuple):
 
     @classmethod
     def of(cls, state: HumanState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """The people on a device."""
+        """Return the people on a device."""
         return cls(*_on_device([getattr(state, name) for name in cls._fields], device, dtype))
 
     def put(self, state: HumanState) -> None:

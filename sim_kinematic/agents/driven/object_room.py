@@ -96,7 +96,7 @@ class ObjectRoom:
         return result
 
     def _is_inside(self, k: int, pose: Array) -> bool:
-        """Returns whether the object is in something static deeper than it may be."""
+        """Return whether the object is in something static deeper than it may be."""
         # lifted, it touches only what is beside it; `contacts` takes the shapes where this test leaves them
         return self._collides(k, pose, ROOM.sunk_m) and any(
             contact.depth_m > ROOM.inside_m or abs(contact.normal[1]) > ROOM.upright
@@ -104,7 +104,7 @@ class ObjectRoom:
         )
 
     def _collides(self, k: int, pose: Array, lift_m: float) -> bool:
-        """Returns whether the object touches something static at a pose7 that is ``lift_m`` higher."""
+        """Return whether the object touches something static at a pose7 that is ``lift_m`` higher."""
         shapes = self._shapes[k]
         frame = pose_to_matrix(pose)
         frame[1, 3] += lift_m

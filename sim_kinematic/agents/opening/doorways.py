@@ -41,7 +41,7 @@ class RoomDoors:
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
-        """Returns whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
+        """Return whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
         closed = joints_of(self.scene).rest.copy()
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
@@ -68,7 +68,7 @@ class RoomDoors:
         return [k for _, k in sorted(found)]
 
     def any_closed(self, positions: Array) -> bool:
-        """Returns whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
+        """Return whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
         return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
 
     def first(
@@ -80,7 +80,7 @@ class RoomDoors:
         *,
         detour_m: float = DETOUR_M,
     ) -> int:
-        """The first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
+        """Return the first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
 
         Args:
             start: The floor point.

@@ -34,7 +34,7 @@ SURE = 1.5
 
 
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
-    """Returns the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
+    """Return the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
 
     ``by_sight``: for robots that are not told the path to the stand. They cannot know whether they have arrived there, and
     what they cannot tell apart they imitate on average, which is never to reach out: none learned to pick in 0.5 M decisions,
@@ -84,5 +84,5 @@ def _seen(robot: RobotTensors, points: Tensor) -> Tensor:
 
 
 def _bearing(seen_from: Tensor) -> Tensor:
-    """The angle to the left of what is ``seen_from`` bases, forward and left [W, 2], [W]."""
+    """Return the angle to the left of what is ``seen_from`` bases, forward and left [W, 2], [W]."""
     return torch.atan2(seen_from[:, 1], seen_from[:, 0])
