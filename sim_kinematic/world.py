@@ -575,7 +575,10 @@ class _PairContacts:
                 near[k, p] = self._contacts.collides(*self._pairs[p])
 
     def _posed(self, world: World, who: Sequence[tuple[int, int]]) -> dict[tuple[int, int], Array]:
-        """Frames of the shapes of agents, each given by world and number; those with one body and floor are posed together."""
+        """Return frames of the shapes of agents, each given by world and number.
+
+        Those with one body and floor are posed together.
+        """
         uneven = {int(w): free for free, group in world._uneven for w in group}
         alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for w, number in who:

@@ -202,7 +202,7 @@ def split_list(text: str) -> list[str]:
 
 
 def known_tasks(command: type[Command]) -> tuple[str, ...]:
-    """The names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
+    """Return names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
     marks = (mark for o in options_of(command) if o.field == "task" for mark in o.metadata if isinstance(mark, NameOf))
     return tuple(name for mark in marks for name in mark.names())
 

@@ -201,7 +201,10 @@ def _painted(
 def _see_through(
     faces: NDArray[np.int32], color: NDArray[Any] | None, look: Look, count: int
 ) -> tuple[Texture | None, NDArray[Any] | None]:
-    """A white texture with its coordinates [V, 2] where colours alone make triangles see-through; None where none are."""
+    """Return a white texture with its coordinates [V, 2] where colours alone make triangles see-through.
+
+    The result is None where colours make no triangle see-through.
+    """
     alpha = np.full(count, look.opacity)
     if color is not None and color.shape[1] == 4:
         alpha = alpha * np.nan_to_num(color[:, 3].astype(np.float64)).clip(0, 1)

@@ -230,7 +230,7 @@ def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
 def _attempts(
     episodes: Iterable[tuple[str, Recording | FormatError]], profile: str | None
 ) -> list[EpisodeMetrics | LeftOut]:
-    """The metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
+    """Return metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
     chosen = [
         (
             name,

@@ -124,7 +124,10 @@ class EpisodeMetrics:
 
 
 def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """A sentence on recordings of one profile that do not say their task, and what else measures them; empty without any."""
+    """Return a sentence on recordings of one profile that do not say their task, and what else measures them.
+
+    The text is empty without such recordings.
+    """
     tasks = [episode.task for episode in episodes if episode.task_is_assumed]
     if not tasks:
         return ""

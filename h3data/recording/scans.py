@@ -43,7 +43,10 @@ class Scan(NamedTuple):
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
 
     def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
-        """Points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        """Return points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m].
+
+        They are NaN where a ray met nothing.
+        """
         reach = self.met()[rows].astype(np.float64)
         reach[np.isinf(reach)] = np.nan
         return reach.reshape(len(reach), -1, 1) * self.directions()

@@ -57,7 +57,7 @@ class Steps(ABC):
         return {name: array[0] for name, array in self.rows(at, at + 1).items()}
 
     def recording(self, start: int, stop: int) -> Recording:
-        """The steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
+        """Return steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
 
         Steps of events and skills count from ``start``. Spans are cut to these steps; one that continues afterwards becomes
         ``running``. Inputs are those after the step before ``start``, up to the last step: adjacent windows divide them.

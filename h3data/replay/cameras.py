@@ -128,7 +128,10 @@ def _followed(replay: Replay, name: str) -> int | None:
 
 
 def carrier_of(replay: Replay, name: str) -> int | None:
-    """Number of the first agent that carries a camera of this name, or of the agent in ``agent/name``; None: nobody does."""
+    """Return the number of the first agent that carries a camera of this name, or of the agent in ``agent/name``.
+
+    The result is None if nobody carries such a camera.
+    """
     owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None

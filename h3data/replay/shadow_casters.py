@@ -79,7 +79,10 @@ def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArr
 
 
 def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.float64]:
-    """A capsule along the longest side of a box, as thick as its cross-section is large, shape [7]; NaN for an empty box."""
+    """Return a capsule along the longest side of a box, as thick as its cross-section is large, shape [7].
+
+    An empty box has a capsule of NaN.
+    """
     size, middle = np.subtract(high, low), np.add(low, high) / 2
     if not np.isfinite(size).all() or size.max() <= 0:
         return np.full(7, np.nan)

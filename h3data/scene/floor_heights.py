@@ -118,7 +118,10 @@ def tread_at(heights, floor_y, x, z):
 
 @kernel_part()
 def nose_at(heights, floor_y, x, z):
-    """Height [m] of the plane through the noses of the steps at (x, z), no lower than a tread; the floor off the stairs."""
+    """Return the height [m] of the plane through the noses of the steps at (x, z), no lower than a tread.
+
+    Off the stairs this is the height of the floor.
+    """
     k, tread, place = step_at(heights, x, z)
     if k < 0:
         return height_at(heights, floor_y, x, z)
@@ -183,7 +186,10 @@ def floor_heights(
 
 
 def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike) -> NDArray[np.float64]:
-    """Heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2]; of the floor off the stairs."""
+    """Return heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2].
+
+    Off the stairs these are the heights of the floor.
+    """
     return _measured(heights, floor_y, points, _NOSES)
 
 

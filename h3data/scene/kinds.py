@@ -65,7 +65,10 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
 
 
 def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up; its middle where a handle is not known."""
+    """Return the point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up.
+
+    This is the middle of the box where a handle is not known.
+    """
     low, high = bounds
     middle = (low + high) / 2
     # the front is +z in the frame of a kind: a point of the rim at its side, and the middle of the front edge

@@ -158,7 +158,10 @@ def scene_readers() -> list[SceneReader]:
 
 
 def reader_of(path: str) -> SceneReader | None:
-    """The reader of a scene file, judged by its name and, where makers share an ending, its content; None if there is none."""
+    """Return the reader of a scene file, judged by its name and, where makers share an ending, its content.
+
+    The result is None if there is none.
+    """
     text = path.lower()
     fitting = (reader for reader in scene_readers() if text.endswith(tuple(reader.endings)))
     # a generator, so that a file is opened only where the ending alone does not decide

@@ -482,7 +482,10 @@ def _around(scene: Scene, thing: Instance) -> Array:
 
 @lru_cache(maxsize=16)
 def _door(scene: Scene, name: str) -> tuple[int, Array]:
-    """Number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3]; -1: none."""
+    """Return the number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3].
+
+    The number is -1 if there is no such door.
+    """
     joints = joints_of(scene)
     for k, (thing, part) in enumerate(joints.parts):
         if thing.name == name and part.joint.kind == "revolute" and part.encloses:
@@ -541,7 +544,10 @@ def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array)
 
 
 def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:
-    """The chore of lifting something from a thing or putting it there, from a place [3]; None: the hands do not reach."""
+    """Return the chore of lifting something from a thing or putting it there, from a place [3].
+
+    The result is None if the hands do not reach it.
+    """
     root, matrix = ground_pose(place[:2], float(place[2])), instance_matrix(thing)
     ahead = quat_rotate(root[3:], np.array([1.0, 0.0, 0.0]))
     half = TRAY_M if wide else ITEM_M
@@ -569,7 +575,9 @@ def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: boo
 
 
 def _farther(body: Humanoid, grips: Array) -> float:
-    """Distance [m] by which a body has to lean farther so that both palms reach places [2, 3] at once; NaN: they do not.
+    """Return the distance [m] by which a body has to lean farther so that both palms reach places [2, 3] at once.
+
+    The distance is NaN if they do not reach.
 
     The trunk is turned less than for one hand, which takes reach from both.
     """

@@ -170,7 +170,10 @@ def _dense(assets: dict[str, Asset], spec: HomeSpec) -> dict[str, Asset]:
 
 
 def _sound_storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> tuple[Scene, list[str]]:
-    """A furnished plan at y = 0, with its doors open, and its faults; leaves slide if the home has faults where they swing."""
+    """Return a furnished plan at y = 0, with its doors open, and its faults.
+
+    Leaves of doors slide if the home has faults where they swing.
+    """
     scene = _storey(spec, attempt, layout, style)
     if not spec.doors:
         return scene, faults(scene)

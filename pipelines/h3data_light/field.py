@@ -196,7 +196,10 @@ def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray
 
 
 def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A point of each block of the grid in voxels, its middle or where it is widest, [X, Y, Z, 3]; and whether it is free."""
+    """Return a point of each block of the grid in voxels, its middle or where it is widest, [X, Y, Z, 3].
+
+    The second array says whether the point is free.
+    """
     n = SPACING_VOXELS
     blocks = [-(-s // n) for s in distance.shape]
     free = np.where(distance == GLASS, 0, distance)

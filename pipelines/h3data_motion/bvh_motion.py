@@ -303,7 +303,10 @@ def _nearest_axis(vector: Array) -> Array | None:
 
 
 def _axes(text: str) -> Array | None:
-    """Frame [3, 3] with the named directions as columns, in the body frame; None if they are no right-handed frame."""
+    """Return the frame [3, 3] with the named directions as columns, in the body frame.
+
+    The result is None if the directions are no right-handed frame.
+    """
     words = text.split()
     if len(words) != 3 or any(w not in DIRECTIONS for w in words):
         return None

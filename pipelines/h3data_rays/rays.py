@@ -276,7 +276,9 @@ class LidarScanner:
     def scan(
         self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
     ) -> NDArray[np.float32]:
-        """Distances [L, C] [m], the range where nothing is nearer; of other instances, those that are ``shown`` [I] count.
+        """Return distances [L, C] [m], the range where nothing is nearer.
+
+        Other instances count if they are ``shown`` [I].
 
         Args:
             poses: Poses of all instances.

@@ -79,7 +79,10 @@ def make_roster(
 
 
 def with_body(human: str | None, body: str) -> str:
-    """The person that is asked for; of a motion alone (``+walk.npz``) with the episode's own body, else the default one."""
+    """Return the person that is asked for.
+
+    If only a motion is named (``+walk.npz``), the person has the episode's own body, else the default one.
+    """
     body = body or HUMAN_BODY
     if human is None:
         return body
@@ -87,7 +90,7 @@ def with_body(human: str | None, body: str) -> str:
 
 
 def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
-    """The agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
+    """Return agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
 
     def is_named(name: str) -> bool:
         kind, colon, model = name.partition(":")

@@ -220,7 +220,10 @@ def _distances(points, path):
 
 @kernel(error_model="numpy")
 def _distance_to_part(x, z, path, begin, end):
-    """Distance of (x, z) to a path [N, 2] between two of its lengths; to its end, if it is shorter than ``begin``."""
+    """Return the distance of (x, z) to a path [N, 2] between two of its lengths.
+
+    If the path is shorter than ``begin``, this is the distance to its end.
+    """
     done, least, last = 0.0, math.inf, len(path) - 1
     for k in range(last):
         leg_x, leg_z = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
@@ -279,7 +282,10 @@ def first_of_path(path: NDArray, length_m: float) -> NDArray[np.float64]:
 
 @kernel(error_model="numpy")
 def _leg_at(path, length):
-    """Number of the leg of a path [N, 2] on which a length [m] ends, and the share of it; -1: the path is no longer."""
+    """Return the number of the leg of a path [N, 2] on which a length [m] ends, and the share of it.
+
+    The number is -1 if the path is not that long.
+    """
     done, end, last, share = 0.0, -1, 0.0, 0.0
     for k in range(len(path) - 1):
         leg = math.hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])

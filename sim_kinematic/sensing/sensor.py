@@ -89,7 +89,10 @@ def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Array
 
 @kernel(error_model="numpy")
 def _in_frames(gap, heading):
-    """Vectors [N, 2] in base frames with headings [N or 1]; compiled, as `_facing`: for a few NumPy is five times slower."""
+    """Return vectors [N, 2] in base frames with headings [N or 1].
+
+    It is compiled as `_facing` is: for a few vectors NumPy is five times slower.
+    """
     out, last = np.empty_like(gap), len(heading) - 1
     for n in range(len(gap)):
         x, z = math.cos(heading[min(n, last)]), -math.sin(heading[min(n, last)])

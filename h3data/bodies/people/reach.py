@@ -268,7 +268,10 @@ class ReachSolver:
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
     def base_motion(self, target: Array) -> BaseMotion | None:
-        """The smallest found move of the base from which ``target`` [3] is reached; turns to it when it is not in front."""
+        """Return the smallest found move of the base from which ``target`` [3] is reached.
+
+        The move turns the body to the target when it is not in front.
+        """
         forward, height, right = target
         if abs(right) < forward or np.hypot(forward, right) < 0.3 * self.body.scale:
             turn = 0.0

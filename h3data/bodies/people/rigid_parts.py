@@ -42,7 +42,10 @@ def rigid_parts(body: Humanoid, style: PeopleStyle) -> tuple[RigidPart, ...]:
 
 
 def _bones(body: Humanoid) -> tuple[RigidPart, ...]:
-    """A capsule along each bone, and one for the skull; frames of joints are aligned with the body: +Y up, +Z forward."""
+    """Return a capsule along each bone, and one for the skull.
+
+    Frames of joints are aligned with the body: +Y up, +Z forward.
+    """
     parts = []
     for end, (parent, offset) in enumerate(zip(PARENTS, body.joint_offsets, strict=True)):
         length = float(np.linalg.norm(offset))

@@ -217,7 +217,10 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
 
 
 def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int | None:
-    """Index of the agent that last held a placed object before it stayed at its goal; None if not placed or never held."""
+    """Return the index of the agent that last held a placed object before it stayed at its goal.
+
+    The result is None if the object was not placed, or never held.
+    """
     # an object that was at its goal all along was carried by nobody
     if not at_goal[-1] or at_goal.all():
         return None

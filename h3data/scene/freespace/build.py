@@ -105,7 +105,10 @@ def build_from_scene(
     floor_y: float | None = None,
     method: Method = "auto",
 ) -> FloorMap:
-    """The free space of one floor of a scene, or of all storeys that stairs join; see `h3data.scene.FreeSpace.from_scene`."""
+    """Return the free space of one floor of a scene, or of all storeys that stairs join.
+
+    See `h3data.scene.FreeSpace.from_scene`.
+    """
     sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
     if wrong or max_climb_m >= height_m:

@@ -33,7 +33,10 @@ class DistanceField:
         return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
 
     def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Length [...] [m] of the shortest path from points [..., 2] to the nearest goal; inf where there is none."""
+        """Return the length [...] [m] of the shortest path from points [..., 2] to the nearest goal.
+
+        Lengths are infinite where there is no path.
+        """
         return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
 
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:

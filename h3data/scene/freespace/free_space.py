@@ -66,7 +66,9 @@ class FreeSpace(FloorMap):
         method: Literal["auto", "shapes", "mesh"] = "auto",
         cache: bool = True,
     ) -> FreeSpace:
-        """The free space of one floor of a scene; static instances are obstacles, kinematic ones are not (as in Habitat).
+        """Return the free space of one floor of a scene.
+
+        Static instances are obstacles, kinematic ones are not (as in Habitat).
 
         Args:
             scene: The scene; only its geometry is read.
@@ -110,7 +112,10 @@ class FreeSpace(FloorMap):
 
     # --- how high the floor is -----------------------------------------------------------------------------------------
     def height_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Height [...] [m] of the floor at points [..., 2]; a flight of stairs is a ramp. Continuous wherever one may be."""
+        """Return the height [...] [m] of the floor at points [..., 2].
+
+        A flight of stairs is a ramp. Continuous wherever one may be.
+        """
         return floor_heights(self.heights, self.floor_y, points)
 
     def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:

@@ -119,7 +119,10 @@ def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> Lase
 
 
 def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> PointCloud:
-    """Points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have; without those that are NaN."""
+    """Return points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have.
+
+    Points that are NaN are left out.
+    """
     known = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], "<f4")
     return PointCloud(
         timestamp=stamp(time_ns),

@@ -97,7 +97,10 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
 
 
 def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """The track [T, ...] in which every step has the row of the latest ``known`` step [T]; before the first, of that one."""
+    """Return the track [T, ...] in which every step has the row of the latest ``known`` step [T].
+
+    Steps before the first known one have the row of that one.
+    """
     if not known.any():
         return track
     # running maximum of the known steps: the latest one at or before each

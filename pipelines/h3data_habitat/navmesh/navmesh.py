@@ -158,7 +158,9 @@ class NavMesh:
 
 
 def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell_m: float = 0.05) -> FreeSpace:
-    """The free space of one floor of a navmesh; its polygon is the union of the navmesh's, so shortest paths are exact on it.
+    """Return the free space of one floor of a navmesh.
+
+    Its polygon is the union of the navmesh's, so shortest paths are exact on it.
 
     Without ``island``: the largest island with the others at its height (within the agent's climb) that do not lie above
     or below it. ``sdf`` is the signed distance to the border of the polygon *plus the radius*: a navmesh knows where the

@@ -103,7 +103,10 @@ class PathFinder:
         return self._paths(start, _point(end)[None])[0][1]
 
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
-        """Length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3]; inf: no path."""
+        """Return the length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3].
+
+        The length is infinite if there is no path.
+        """
         ends = np.asarray(end, np.float64)
         # the usual question, one end on a level floor, needs no polygons
         if self.free_space is not None and ends.ndim == 1:
@@ -170,7 +173,10 @@ class PathFinder:
         max_tries: int = 100,
         island_index: int = _ANY,
     ) -> NDArray[np.float64]:
-        """A random point [3] on the floor within ``radius`` [m] of a point, uniform there; NaN if no try fell into it."""
+        """Return a random point [3] on the floor within ``radius`` [m] of a point, uniform there.
+
+        The point is NaN if no try fell into this radius.
+        """
         centre = _point(circle_center)
         points = self.get_random_navigable_point(rng, island_index=island_index, n=max_tries)
         # all tries at once: as many random numbers whichever of them fits
@@ -230,7 +236,9 @@ class PathFinder:
         return int(self._surface.island[polygon]) if polygon >= 0 else -1
 
     def island_radius(self, point: ArrayLike | int) -> float:
-        """Largest distance [m] of a corner of an island from the mean of its corners, by point [3] or index; 0: no island.
+        """Return the largest distance [m] of a corner of an island from the mean of its corners, by point [3] or index.
+
+        The distance is 0 if there is no such island.
 
         Corners count once per polygon that they belong to, as in habitat-sim.
         """

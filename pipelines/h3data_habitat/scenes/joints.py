@@ -27,7 +27,9 @@ def articulation_of(
     instances: Mapping[str, Instance],
     assets: Mapping[str, Asset],
 ) -> tuple[Articulation | None, list[str]]:
-    """The moving parts of an articulated object, one for each joint that turns or slides, and warnings; None: nothing moves.
+    """Return the moving parts of an articulated object, one for each joint that turns or slides, and warnings.
+
+    The result is None if nothing moves.
 
     Joints without a range, balls and followers by mimic are held where they are. What a closed drawer contains is out of
     reach, and so is what lies behind a closed door.

@@ -90,7 +90,10 @@ def load_habitat_scene(
 
 
 def dataset_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
-    """The dataset config and the scene that ``x.scene_dataset_config.json#scene`` names; (None, None) for other paths."""
+    """Return the dataset config and the scene that ``x.scene_dataset_config.json#scene`` names.
+
+    Other paths give (None, None).
+    """
     before, mark, scene = os.fspath(path).rpartition(DATASET_ENDING + "#")
     return (Path(before + DATASET_ENDING), scene) if mark else (None, None)
 

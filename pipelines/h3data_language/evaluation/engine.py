@@ -196,7 +196,7 @@ def _admits(c: Constraint, first: NDArray[np.int64], terminal: Flags, chosen: Se
 
 
 def _arguments(p: Proposition, pairs: Flags, bugs: bool) -> dict[str, Names]:
-    """The things by which a proposition became true, by argument, from its pairs [A, B] then, or a cluster's members [N].
+    """Return things by which a proposition became true, by argument, from its pairs [A, B] then, or a cluster's members [N].
 
     PARTNR compares two handles as if they were lists, by their letters; with ``bugs``, names are sets of letters.
     """

@@ -130,7 +130,10 @@ class Convert:
         return counted(found, "finished log") if found else ""
 
     def target(self, source: StoredEpisode) -> AnyPath:
-        """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
+        """Return the log's path below the output, as below the input.
+
+        Episode 3 of a dataset becomes ``DATASET/000003.mcap``.
+        """
         if not self._source.is_dir():
             return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
         at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place

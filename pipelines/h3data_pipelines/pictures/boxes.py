@@ -42,7 +42,10 @@ def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
 
 
 def visible_masks(ids: ArrayLike, wanted: ArrayLike, *, groups: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Masks [B, H, W] of the pixels where each of the ``wanted`` ids [B] is visible; ``groups`` as in `visible_boxes`."""
+    """Return masks [B, H, W] of the pixels where each of the ``wanted`` ids [B] is visible.
+
+    The argument ``groups`` is that of `visible_boxes`.
+    """
     return _grouped(ids, groups)[None] == np.asarray(wanted).reshape(-1, 1, 1)
 
 

@@ -143,7 +143,10 @@ class TensorCameras:
         self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device; depth in metres."""
+        """Return pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device.
+
+        Depths are in metres.
+        """
         return {name: t[0] for name, t in self._taken((view,), outputs).items()}
 
     def _taken(self, views: Sequence[str], outputs: Sequence[Output]) -> dict[str, Tensor]:

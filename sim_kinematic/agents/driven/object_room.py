@@ -78,7 +78,10 @@ class ObjectRoom:
         return float(floor_heights(self._heights, self._floor_y, pose[[0, 2]], treads=True))
 
     def fallen(self, k: int, pose: Array) -> Array:
-        """The pose7 of object ``k`` after it has fallen straight down on what is below; one that is in something stays."""
+        """Return the pose7 of object ``k`` after it has fallen straight down on what is below.
+
+        An object that is in something stays.
+        """
         lowest = self._floor_below(pose) - self._extents[k][1] - pose[1]
         down = 0.0
         if lowest >= 0 or self._collides(k, pose, 0.0):

@@ -448,7 +448,10 @@ def goal_record(target: Target) -> StoredGoal:
 
 
 def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
-    """The target of a record; ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses."""
+    """Return the target of a record.
+
+    ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses.
+    """
     start, position = np.array(goal.start, np.float64), np.array(goal.position, np.float64)
     # Habitat's poses are those of the center of mass, ours those of the asset's origin
     if origin is not None:

@@ -336,7 +336,9 @@ def free_spot(
     thing: Instance,
     taken: list[tuple[Array, float]],
 ) -> tuple[Array, str] | None:
-    """A free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle; None: there is none.
+    """Return a free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle.
+
+    The result is None if there is none.
 
     ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
     """

@@ -108,7 +108,10 @@ def moved_bodies(bank: SkillBank) -> list[NDArray[np.int64]]:
 
 
 def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
-    """A home with a robot and movable objects; the links have the same slots in all homes, the objects come after them."""
+    """Return a home with a robot and movable objects.
+
+    The links have the same slots in all homes, the objects come after them.
+    """
     from h3data_gpu import GpuScene
 
     meshes, instances, links = with_robot(scene, robot)
