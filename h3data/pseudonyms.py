@@ -15,7 +15,7 @@ from h3data.errors import InputError
 KEY_VARIABLE = "H3DATA_PARTICIPANT_KEY"
 """Environment variable with the path of the key file, to share one key between machines."""
 SHORTEST_KEY = 16
-"""Bytes of the shortest accepted key."""
+"""Number of bytes of the shortest accepted key."""
 
 
 def anonymous_id(person: str, *, key: bytes) -> str:

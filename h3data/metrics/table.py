@@ -30,7 +30,7 @@ class Summary:
     high: float
     """Upper end of the interval; NaN if there are too few episodes."""
     count: int
-    """Episodes with a value."""
+    """Number of episodes with a value."""
     episodes: int
     """All episodes, with and without a value."""
     method: Literal["bootstrap", "wilson"]

@@ -28,7 +28,7 @@ _EXPONENT, _SIGN, _MANTISSA, _KINDS = 1, 11, 22, 32
 """The adaptive probabilities of a context: 0 or not, ten for exponents, eleven for signs, ten for mantissas."""
 _MARGIN_BYTES = 256
 _AT_ONCE = 32
-"""Pixels that are predicted at once."""
+"""Number of pixels that are predicted at once."""
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
     np.uintp(k) for k in (0, 1, 2, 3, 4, 8, 15, 16, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
 )

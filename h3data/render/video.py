@@ -44,7 +44,7 @@ _SETTINGS = {
 _LUMA, _U, _V = (66, 129, 25, 4224), (-38, -74, 112, 131584), (112, -94, -18, 131584)
 """Weights of red, green and blue, and a constant, in 1/256 for one pixel and in 1/1024 for the sum of four."""
 _AT_ONCE = 16
-"""Pixels that are converted at once."""
+"""Number of pixels that are converted at once."""
 
 
 class VideoWriter:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_STEPS = 256
-"""Steps whose poses are computed together."""
+"""Number of steps whose poses are computed together."""
 BLOCKS_KEPT = 16
 
 

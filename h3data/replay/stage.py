@@ -27,9 +27,9 @@ from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
 WORLDS = 32
-"""Steps that a GPU draws at once, each in a world of its own."""
+"""Number of steps that a GPU draws at once, each in a world of its own."""
 JOINT_STEPS = 64
-"""Steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
+"""Number of steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
 Images = list[dict[str, NDArray[Any]]]
 """Images of each camera, by output."""

@@ -11,7 +11,7 @@ from h3data.geometry import pose_to_matrix, transform_points
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
-"""Sides of the prism that stands for a cylinder."""
+"""Number of sides of the prism that stands for a cylinder."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:

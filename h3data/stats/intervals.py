@@ -128,7 +128,7 @@ class SeedSummary:
     high: float
     """Upper end of the interval."""
     seeds: int
-    """Seeds with a defined value."""
+    """Number of seeds with a defined value."""
 
     def __str__(self) -> str:
         return f"{self.mean:.3g} ± {self.std:.2g}"

@@ -18,7 +18,7 @@ from h3data.stats.intervals import bootstrap_interval
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
 _ENUMERATED = 20
-"""Differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
+"""Number of differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class PairedComparison:
     effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
     pairs: int
     undefined: int
-    """Episodes in which one of the two values, or both, are undefined."""
+    """Number of episodes in which one of the two values, or both, are undefined."""
     notes: tuple[str, ...] = ()
     """Reservations: pairs of 0/1 values, too few pairs for a p value below .05."""
 

@@ -22,7 +22,7 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task
 
 CANDIDATES = 400
-"""Goals that are sampled for an episode, of which the first that fits is taken."""
+"""Number of goals that are sampled for an episode, of which the first that fits is taken."""
 FAR_M = 100.0
 """Distances beyond this are shown as this."""
 

@@ -41,7 +41,7 @@ UNREACHABLE_M = 100.0
 TURN_M = 0.2
 """Length of path that a radian between heading and path is worth."""
 SAMPLES = 160
-"""Plans that `mpc` samples at each step."""
+"""Number of plans that `mpc` samples at each step."""
 
 Policy = Callable[[AgentView, BaseSpec], Velocity]
 

@@ -28,7 +28,7 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import TaskUsage
 
 LAYOUTS = 6
-"""Layouts of a card that are sampled for a home before a plan is built."""
+"""Number of layouts of a card that are sampled for a home before a plan is built."""
 STOP_M = 1.4
 """Distance from the person within which a robot that follows observes its own place as the goal [m]."""
 LEAD_M = 3.5

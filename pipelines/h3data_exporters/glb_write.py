@@ -30,7 +30,7 @@ _BLOCK_PX = 4
 """Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 
 MAX_LOOKS = 32
-"""Pairs of texture and colour that one mesh may have."""
+"""Number of pairs of texture and colour that one mesh may have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

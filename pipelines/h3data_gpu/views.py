@@ -22,9 +22,9 @@ class Variant(NamedTuple):
     tile: int
     """Width and height of a block's tile [px]."""
     warps: int
-    """Warps per block."""
+    """Number of warps per block."""
     blocks: int
-    """Blocks that should fit on a multiprocessor at the same time."""
+    """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
         """Dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""

@@ -39,7 +39,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, Target, free_sp
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 ATTEMPTS = 60
-"""Choices of a template, things and places that are tried."""
+"""Number of choices of a template, things and places that are tried."""
 NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
 """Distance between things that are placed next to each other [m], well within the limit of the proposition."""

@@ -31,11 +31,11 @@ EXPERTS = ("language_expert", "language_greedy", "language_talk", "language_stil
 HANDLING_M = 1.4
 """Distance from which a person handles a thing [m]; somewhat less than the task allows."""
 HANDLING_WAIT = 15
-"""Steps for which a person handles a thing; somewhat more than it takes."""
+"""Number of steps for which a person handles a thing; somewhat more than it takes."""
 PAUSE = 8
-"""Steps after which an agent without an errand asks again."""
+"""Number of steps after which an agent without an errand asks again."""
 AVOID = 90
-"""Steps for which an errand is left after failures."""
+"""Number of steps for which an errand is left after failures."""
 LATE = 600
 """Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
 PLACED = ("is_on_top", "is_inside", "is_in_room")

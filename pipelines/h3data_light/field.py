@@ -20,7 +20,7 @@ from h3data_light.exposure import shown_light
 from h3data_light.voxels import GLASS, Voxels
 
 SPACING_VOXELS = 10
-"""Voxels between two points of the grid."""
+"""Number of voxels between two points of the grid."""
 _RAYS = 64
 _FARTHEST_M = 4.0
 """Shadows do not reach farther."""

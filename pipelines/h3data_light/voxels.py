@@ -18,7 +18,7 @@ MAX_VOXELS = 12_000_000
 """Number of voxels above which a scene gets larger ones."""
 MARGIN_M = 0.5
 PROBE_VOXELS = 5
-"""Voxels along the side of a block; each block has one probe and one mean colour per axis."""
+"""Number of voxels along the side of a block; each block has one probe and one mean colour per axis."""
 GLASS = 255
 """Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100

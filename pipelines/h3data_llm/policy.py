@@ -93,7 +93,7 @@ class LanguageModelPolicy:
     is_remote = True
     """Constant True: what is recorded is repeated without asking the language model."""
     interrupts_every = 3
-    """Steps from one question whether it stops to the next."""
+    """Number of steps from one question whether it stops to the next."""
 
     def __init__(self, where: Address, endpoint: Endpoint, task: Any, episode: Any, number: int) -> None:
         """Prepare for an episode; nothing is asked yet.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 
 _TRIED_FANS = 4
-"""Corners from which a fan is tried for all polygons at once; a quadrilateral without crossings needs at most two."""
+"""Number of corners from which a fan is tried for all polygons at once; a quadrilateral without crossings needs at most two."""
 
 
 def triangulated(points: Array, counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -11,7 +11,7 @@ from h3data.metrics.requirements import missing_columns
 from h3data.recording.records import Recording
 
 _RUNS = 4
-"""Runs of a flag that are listed."""
+"""Number of runs of a flag that are listed."""
 
 
 def explain(metric: Metric) -> str:

@@ -26,7 +26,7 @@ class SkillScore(NamedTuple):
     path_m: float
     """Length of the shortest path to where the target is reached from, at the start."""
     contact: int
-    """Steps in which the base touched the home."""
+    """Number of steps in which the base touched the home."""
 
 
 def action_of(start: SkillStart) -> Action:

@@ -28,7 +28,7 @@ from sim_kinematic.policies.policy import Velocity
 OWN = "h3data"
 """Entry of a server's metadata that is for us: ``name``, ``adapter``, ``batch``, ``view``."""
 MOST_METADATA = 4096
-"""Bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
+"""Number of bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
 _ANSWERED: set[str] = set()
 """Servers that have answered this process before, so that they need not compile any more."""
 

@@ -18,7 +18,7 @@ from h3data_ros.transforms import TransformTree
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 JOINTS = "sensor_msgs/msg/JointState"
 RAYS = 360
-"""Rays of an imported scan, one each degree around the robot's frame."""
+"""Number of rays of an imported scan, one each degree around the robot's frame."""
 BAND_M = (0.1, 1.8)
 """Heights of the points of a cloud that count as obstacles, in the robot's frame [m]."""
 RANGE_MAX_M = 1000.0

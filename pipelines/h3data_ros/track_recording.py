@@ -34,7 +34,7 @@ PLACE_MAX_M = 1e8
 FAR_M = 1000.0
 """World coordinates are float32: origins farther away are moved by whole metres."""
 CELLS_MAX = 20_000_000
-"""Rows times people of one recording."""
+"""Number of rows times people of one recording."""
 HEADING_S, HEADING_M = 0.5, 0.1
 """Headings are directions of motion over this time, where it leads so far [m]; else the one before holds."""
 FOOTPRINT_M, HEIGHT_M = 0.25, 0.5

@@ -23,7 +23,7 @@ from sim_kinematic.motion.state import HumanState
 ROUNDING = 1e-9
 """Tolerance in the comparisons of `_draw_in_worlds`, far above what rounding can cause."""
 BLOCK = 256
-"""Lines that are followed together: their numbers fit into the first cache."""
+"""Number of lines that are followed together: their numbers fit into the first cache."""
 LOOKS = 3
 """Number of looks after which finished lines are sorted out, which saves a tenth of the time. Later looks change
 nothing: a line is finished when no further look can change its arm."""

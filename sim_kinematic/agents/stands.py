@@ -25,7 +25,7 @@ class StandSpec:
     """Places that are tried, and the room that agents need there."""
 
     bearings: int = 24
-    """Directions from which a point is approached."""
+    """Number of directions from which a point is approached."""
     person_distances_m: tuple[float, ...] = tuple(0.25 + 0.05 * k for k in range(13))
     """Distances from which a person reaches for a point."""
     hand_side_rad: float = 0.25

@@ -68,7 +68,7 @@ class _Request:
     stays_steps: float = 0
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
-    """Steps since it got there."""
+    """Number of steps since it got there."""
     chose_at: tuple[float, float, float] | None = None
     """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))

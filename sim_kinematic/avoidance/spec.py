@@ -56,9 +56,9 @@ class AvoidanceSpec:
     range_m: float = 4.0
     """Agents farther away are ignored: at 2.5 m/s each, two need 0.8 s to meet."""
     horizon_steps: int = 24
-    """Steps that each trial command is rolled out."""
+    """Number of steps that each trial command is rolled out."""
     stride_steps: int = 3
-    """Steps between the moments of a roll-out in which gaps are measured."""
+    """Number of steps between the moments of a roll-out in which gaps are measured."""
     doubt_mps: float = 0.25
     """Gaps in the future count as wider by this speed: an agent's motion is known best now."""
     person_radius_m: float = 0.35
@@ -87,7 +87,7 @@ class AvoidanceSpec:
     wall_m: float = 0.03
     """A person walking straight on is taken to stop this much closer to an obstacle than their radius."""
     velocity_steps: int = 3
-    """Steps over which an agent's velocity is measured."""
+    """Number of steps over which an agent's velocity is measured."""
     contact_gate_m: float = 2.0
     """Agents farther apart cannot touch, arms stretched out."""
     contact_span_m: float = 1.4
@@ -107,7 +107,7 @@ class AvoidanceSpec:
     stands_mps: float = 0.05
     """Agents slower than this stand."""
     patience_steps: int = 90
-    """Steps after which a person gives up waiting for others to clear the path."""
+    """Number of steps after which a person gives up waiting for others to clear the path."""
     detour_after_steps: tuple[int, int] = (10, 40)
     """Stalled steps after which a robot looks for a path around the agents that stand."""
     detours: int = 3

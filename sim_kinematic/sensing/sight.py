@@ -31,7 +31,7 @@ THING_M, PLACE_M = 8.0, 5.0
 NEAR_M = 1.2
 """Distance within which an agent sees in all directions [m]: it turns its head."""
 LOOK_STEPS = 6
-"""Steps from one look to the next."""
+"""Number of steps from one look to the next."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
 MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936

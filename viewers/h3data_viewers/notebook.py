@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 Viewer = Literal["rerun", "video"]
 STRIP = 5
-"""Pictures in the strip of a recording."""
+"""Number of pictures in the strip of a recording."""
 LISTED = 10
-"""Episodes listed of a dataset."""
+"""Number of episodes listed of a dataset."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class TrotSpec:
     stride_offset_m: float = 0.2
     """Length of a stride at speed 0, before it is clipped [m]."""
     smooth_steps: int = 9
-    """Steps over which the distance covered in a step is averaged, from which the stride is computed."""
+    """Number of steps over which the distance covered in a step is averaged, from which the stride is computed."""
     duty: float = 0.55
     """Fraction of the cycle in which a foot stands."""
     lift_m: float = 0.05

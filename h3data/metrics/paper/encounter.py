@@ -40,7 +40,7 @@ class Thresholds:
 PAPER = Thresholds()
 
 MANY_ROWS = 3_000_000
-"""Rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
+"""Number of rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
 _measured_rows = 0
 
 

@@ -85,7 +85,7 @@ class _Counted(NamedTuple):
     found: _Occurrences
     contacts: _Occurrences
     unseen: int
-    """Rows in which an agent has no pose."""
+    """Number of rows in which an agent has no pose."""
     making_room: int
     distance: NDArray[np.float64]
     """L2 distance, shape [T] [m]; NaN where unseen."""

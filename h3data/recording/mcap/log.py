@@ -56,7 +56,7 @@ from h3data.recording.storage import RemotePath, local
 CHUNK_BYTES = 4 << 20
 """Largest uncompressed size of a chunk."""
 FLUSH_ROWS = 30
-"""Rows between flushes: one second at 30 steps/s."""
+"""Number of rows between flushes: one second at 30 steps/s."""
 FLUSH_S = 1.0
 
 

@@ -26,9 +26,9 @@ class PendingRows:
 
     def __init__(self, layout: Layout) -> None:
         self.steps = 0
-        """Rows added so far."""
+        """Number of rows added so far."""
         self.taken = 0
-        """Rows returned by `take` so far."""
+        """Number of rows returned by `take` so far."""
         self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
         self._pending: list[Rows] = []
         self._times: list[NDArray[np.int64]] = []

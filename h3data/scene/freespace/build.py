@@ -31,7 +31,7 @@ class BuildSpec:
     version: int = 4
     """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
     arc_segments: int = 8
-    """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
+    """Number of segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
     smooth_m: float = 1e-4
     """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
     island_min_m2: float = 0.01

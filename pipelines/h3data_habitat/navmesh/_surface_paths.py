@@ -11,7 +11,7 @@ from h3data.kernels import kernel
 from h3data_habitat.navmesh._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
 
 STARTS_MAX = 64
-"""Polygons that may meet in one point."""
+"""Number of polygons that may meet in one point."""
 
 
 @kernel()

@@ -13,7 +13,7 @@ from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Receptacle, Shape
 
 CYLINDER_SIDES = 24
-"""Sides of the prism around a cylinder (0.9 % of the radius too large at its corners)."""
+"""Number of sides of the prism around a cylinder (0.9 % of the radius too large at its corners)."""
 _BALL_RINGS = 5
 _GREY = 160
 

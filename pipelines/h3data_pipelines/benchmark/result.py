@@ -37,7 +37,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
     policy: str
     played: int
-    """Episodes with each of the partners that were played to their end."""
+    """Number of episodes with each of the partners that were played to their end."""
     expected: int
     metrics: dict[str, dict[str, float | None]]
     """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""

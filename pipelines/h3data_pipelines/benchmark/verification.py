@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 MOST_SHOWN = 20
-"""Faults that are printed; ``--json`` has all."""
+"""Number of faults that are printed; ``--json`` has all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +50,11 @@ class ResultVerification:
     folder: Path
     benchmark: str
     recordings: int
-    """Recordings of the episodes that were checked."""
+    """Number of recordings of the episodes that were checked."""
     episodes: int
-    """Episodes that were checked."""
+    """Number of episodes that were checked."""
     of_episodes: int
-    """Episodes of the benchmark."""
+    """Number of episodes of the benchmark."""
     faults: tuple[str, ...]
     """Faults, a sentence each; empty if the table is true."""
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from h3data.recording import DatasetWriter, Recording
 
 _TOGETHER = 8
-"""Episodes of a shard."""
+"""Number of episodes of a shard."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Convert:
     in time_ns (default: the rate of the first episode, which all must have)."""
     share_scenes: ShareScenesFlag = False
     workers: int = 1
-    """Processes that write logs; a dataset has one writer."""
+    """Number of processes that write logs; a dataset has one writer."""
     executor: ExecutorOption = "local"
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""

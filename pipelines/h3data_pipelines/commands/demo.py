@@ -48,7 +48,7 @@ FILES = (
     "summary.json",
 )
 FRAME_EVERY = 2
-"""Steps from one frame of the videos to the next: 15 frames/s."""
+"""Number of steps from one frame of the videos to the next: 15 frames/s."""
 VIDEO_SIZE = (480, 360)
 """Size of third_person.mp4 unless another one is asked for [px]. The first picture then has the camera's own, 640x480."""
 

@@ -45,7 +45,7 @@ class EpisodeSummary:
     """Number of episodes by task and by the program that wrote them."""
     scenes: Mapping[str, int]
     complete: int
-    """Episodes that hold the starts of the agents."""
+    """Number of episodes that hold the starts of the agents."""
     objects: Spread | None
     """Objects of an episode that it adds to its scene."""
     goals: Spread | None

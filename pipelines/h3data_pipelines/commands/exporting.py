@@ -118,7 +118,7 @@ class Export:
     storage: BagStorage
     """Storage of a bag: mcap, or sqlite3, which Humble reads without another package; for rosbag2."""
     lidar: int
-    """Rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
+    """Number of rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
     backend: BackendOption
     force: ForceFlag
     json: JsonFlag = False

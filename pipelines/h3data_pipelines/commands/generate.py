@@ -78,7 +78,7 @@ COMMIT_STEPS = 30_000
 """Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
 which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
-"""Steps that a frame of a video counts as."""
+"""Number of steps that a frame of a video counts as."""
 MAX_STEPS = task_notes(lambda task: f"{(task.usage.dataset_rules or task.Spec()).max_steps}.")
 SPAWN_DISTANCE = task_notes(lambda task: "Sets and files decide it." if task.usage.set_rules else "")
 

@@ -21,11 +21,11 @@ from h3data.recording.episodes import StoredEpisode
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16
-"""Episodes of a shard: some tenths of a second."""
+"""Number of episodes of a shard: some tenths of a second."""
 _STEPS_TOGETHER = 10_000
-"""Steps of a dataset that are read at once."""
+"""Number of steps of a dataset that are read at once."""
 _SHOWN = 4
-"""Findings per kind and recording in the text; JSON has all."""
+"""Number of findings per kind and recording in the text; JSON has all."""
 
 
 @dataclass(frozen=True)

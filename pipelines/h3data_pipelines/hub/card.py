@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
-"""Episodes in the picture."""
+"""Number of episodes in the picture."""
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
 """Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 VERSION_TAG = "v3.0"
 """LeRobot loads the revision that is tagged with the version of its format."""
 _BATCH = 16
-"""Files uploaded between two updates of the progress bar."""
+"""Number of files uploaded between two updates of the progress bar."""
 
 
 @suggest_keywords

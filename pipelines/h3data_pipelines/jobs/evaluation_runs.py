@@ -152,7 +152,7 @@ class EvaluationResult:
     """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
-    """Episodes played now; the others were there."""
+    """Number of episodes played now; the others were there."""
     failed: tuple[str, ...]
     """Pairs that raised: episode, seed, names and error."""
     left_out: tuple[str, ...] = ()

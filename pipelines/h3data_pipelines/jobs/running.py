@@ -54,7 +54,7 @@ class VideoJob:
 
     cameras: tuple[str, ...]
     threads: int
-    """Threads that render, in each process."""
+    """Number of threads that render, in each process."""
     people: PeopleStyle = "skin"
     light: LightMode = "baked"
     backend: Literal["auto", "cpu", "gpu"] = "cpu"

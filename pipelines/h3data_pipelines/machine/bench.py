@@ -76,13 +76,13 @@ class Bench:
     bodies: tuple[str, ...] = ("skinned",)
     """skinned, or bones: people rendered as rigid capsules."""
     runs: int = 3
-    """Runs per row; the paper has 10."""
+    """Number of runs per row; the paper has 10."""
     steps: int = 300
-    """Steps per run; the first 10 are not timed."""
+    """Number of steps per run; the first 10 are not timed."""
     backend: Literal["cpu", "gpu"] = "cpu"
     """Renderer. gpu: one process with all worlds."""
     cores: int | None = None
-    """Processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
+    """Number of processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
     seed: int = 0
     """Seed of all random numbers."""
     json: JsonFlag = False

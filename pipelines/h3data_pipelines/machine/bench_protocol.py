@@ -97,7 +97,7 @@ class BenchmarkWorlds:
         self.touched = np.zeros(self.worlds, np.bool_)
         """True if the two agents touch, [W], after the last step."""
         self.arm_touches = 0
-        """Contacts of arms with the home in the last step, all worlds."""
+        """Number of contacts of arms with the home in the last step, all worlds."""
 
     def _make_agents(self) -> list[Agent]:
         robot, human = load_robot(ROBOT), load_humanoid(HUMAN)

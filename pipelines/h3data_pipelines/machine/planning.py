@@ -35,9 +35,9 @@ class Plan:
     """social_nav, rearrange, wander, or an installed task."""
     episodes: int = 100_000
     cores: int = 1000
-    """Cores of the cluster; the table shows smaller numbers too."""
+    """Number of cores of the cluster; the table shows smaller numbers too."""
     datasets: int = 1
-    """Datasets into which the job is cut, each written by a command of its own."""
+    """Number of datasets into which the job is cut, each written by a command of its own."""
     scenes: int = 37
     """Different homes (h3-homes/train has 37)."""
     steps: float | None = None

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 AHEAD = 4
-"""Results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
+"""Number of results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
 MOST_SHARDS = 200_000
 """Number of shards of longer jobs that are simulated; the rest goes on at the pace of their second half."""
 

@@ -22,7 +22,7 @@ from h3data.kernels.vectors import INT64, intrinsic
 _UP = 2
 """Number of the filter, the first byte of each row."""
 _AT_ONCE = 16
-"""Pixels that are compared at once."""
+"""Number of pixels that are compared at once."""
 _END, _LONGEST = 256, 258
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
-"""Steps between the points of a drawn trajectory: 0.2 s."""
+"""Number of steps between the points of a drawn trajectory: 0.2 s."""
 DEPTH_RANGE_M = (0.0, 10.0)
 
 

@@ -27,7 +27,7 @@ STEPS_PER_EPISODE = 600
 DRAWING_S = 0.55
 """CPU seconds to draw an episode: 652 for 1,184 in the 37 homes of h3-homes/train."""
 WORLD_STEPS_PER_CPU_S = 10_000
-"""Steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
+"""Number of steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
 
 
 def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:

@@ -119,7 +119,7 @@ class Train:
     scenes: tuple[str, ...] = ()
     """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
-    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    """Number of episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
     episodes_per_update: Annotated[int | None, POPULATIONS] = None
     """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
     pixels: Annotated[bool, POPULATIONS] = False

@@ -39,7 +39,7 @@ FORMAT = "h3data.pool/1"
 SEED = 1_000_003
 """Seed of all pools: runs differ in what they make of the same episodes."""
 TRIES = 3
-"""Seeds of an episode that are tried in a home."""
+"""Number of seeds of an episode that are tried in a home."""
 
 
 class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):

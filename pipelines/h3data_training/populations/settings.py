@@ -30,7 +30,7 @@ ABLATIONS = (HUMANOID_GPS, "primitives")
 """Parts that a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
 navigation."""
 LEAST_CHUNKS = 12
-"""Chunks of a minibatch of a partner: with fewer its gradient is noise."""
+"""Number of chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
 """Value of ``walk`` for ``natural`` walking in one half of the episodes and ``paper`` in the other."""
 
@@ -78,7 +78,7 @@ class PopulationSettings:
     """Number of steps after which a learner chooses again while it walks."""
 
     episodes: int = 32
-    """Episodes of an update."""
+    """Number of episodes of an update."""
     hidden: int = 64
     """Size of the recurrent state."""
     width: int = 64

@@ -34,7 +34,7 @@ LOOK_STEPS = 5
 """Steps from one picture to the next. Drawing costs more than all the rest of a step, and close to each other agents choose
 once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most 4 steps old."""
 CHECK_STEPS = 25
-"""Steps after which it is checked whether all episodes are over: that waits for the device."""
+"""Number of steps after which it is checked whether all episodes are over: that waits for the device."""
 
 
 class TensorPlayers:

@@ -26,7 +26,7 @@ class WalkingCycle:
     human: Humanoid
     clip: int
     blends: int
-    """Blends in the tables: those that a person goes through when setting off and stopping."""
+    """Number of blends in the tables: those that a person goes through when setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:

@@ -37,7 +37,7 @@ class OpeningSpec:
     frames: int = 8
     """Number of positions of a moving part at which collisions are tested."""
     samples: int = 6
-    """Points along each edge of a part's boxes, as which it is seen from above."""
+    """Number of points along each edge of a part's boxes, as which it is seen from above."""
     shrunk_m: float = 0.008
     """Distance at which parts may pass things beside them [m]."""
     passes_m: float = 0.03

@@ -117,7 +117,7 @@ class ReportCommand:
     study_model: StepsModelOption
     failed: FailedOption
     workers: int
-    """Processes, or Ray's workers, that read and measure the recordings."""
+    """Number of processes, or Ray's workers, that read and measure the recordings."""
     executor: ExecutorOption
     force: ForceFlag
     json: JsonFlag = False

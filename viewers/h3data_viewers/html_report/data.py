@@ -106,11 +106,11 @@ class Mean:
     """Lower end: one standard deviation of the seeds below the mean."""
     high: float
     count: int
-    """Episodes that define the metric."""
+    """Number of episodes that define the metric."""
     deviation: float = np.nan
     """Standard deviation over seeds (n - 1)."""
     seeds: int = 0
-    """Seeds that have a mean; 0: these are episodes of one policy."""
+    """Number of seeds that have a mean; 0: these are episodes of one policy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,7 +21,7 @@ ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
 """Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
 SCAN_EVERY = 3
-"""Steps between scans that are shown: 360 points take 4 kB."""
+"""Number of steps between scans that are shown: 360 points take 4 kB."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------

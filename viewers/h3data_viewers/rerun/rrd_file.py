@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 LABELS = ("a", "b")
 """Root entities of two recordings in one file."""
 SKIN_EVERY = 3
-"""Steps between samples of skinned bodies."""
+"""Number of steps between samples of skinned bodies."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

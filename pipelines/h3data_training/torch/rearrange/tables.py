@@ -15,7 +15,7 @@ from h3data_training.torch.rearrange.bank import FLOOR, RearrangeBank
 from sim_kinematic.agents.oracle.ways import CELL_M
 
 HOPS = 4
-"""Legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
+"""Number of legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
