@@ -202,7 +202,7 @@ class Scenarios(CrowdNav):
         return self.goals(play)
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
-        """Return whether what each mode asks for is done, and whether the episode is over, [W] each."""
+        """Return whether the robot has done what its scenario asks for, and whether the episode is over, bool [W] each."""
         memory, spec, world = play.memory, play.spec, play.world
         own, people = world.state.agents[0].xz, world.state.people
         success, over = play.steps < 0, play.steps < 0

@@ -28,7 +28,7 @@ class HomePreset:
     extra: tuple[str, ...] = ()
     """Other required rooms."""
     children: int = 0
-    """Number of bedrooms that are children's rooms (second generation)."""
+    """Number of bedrooms that are furnished for children (second generation)."""
     generation: int = 1
 
     @property

@@ -46,7 +46,7 @@ class Home:
     insides: Mapping[str, Place]
     """Furniture in which things can be put behind doors or in drawers, by words."""
     rooms: Mapping[str, str]
-    """Rooms by words."""
+    """Names of rooms in the scene by their names in words."""
     surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
     """Open surfaces by the name of their furniture."""
     enclosed: Mapping[str, list[tuple[Instance, Receptacle]]]

@@ -42,7 +42,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.tasks.rearrange.episode import Target
 
 TRIES = 8
-"""Number of choices of places that are tried."""
+"""Number of random placements of the objects that are tried."""
 LONGEST_INSTRUCTION = 5_000
 """Largest number of characters in an instruction, which language models read again with each decision."""
 MAX_STEPS = 20_000

@@ -53,7 +53,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """True if the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
     ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
-    """Key of the chunk of actions in an answer; of several, the columns follow each other."""
+    """Key of the chunk of actions in an answer; if several keys are given, their columns are put side by side."""
     columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
     """Columns of a chunk that are the robot's, in this order; empty: all."""
     action: Literal["base", "control"] = "base"

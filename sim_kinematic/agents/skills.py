@@ -234,7 +234,11 @@ class Objects:
         return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
-        """Return the pre-conditions that both kinds of actors share."""
+        """Return the reason why an agent cannot begin an action, by the rules for people and robots alike; empty if it can.
+
+        Raises:
+            InputError: There is no such skill, object, joint or surface.
+        """
         skill, k = action.skill, action.target
         is_known = skill in SKILLS or (self.joints and skill in OPENING_SKILLS)
         if not is_known and not (skill == SEARCH and self.sight is not None):

@@ -80,7 +80,7 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def takes_commands(self) -> bool:
-        """Return whether somebody outside decides, now or in the recording that is played again."""
+        """Return whether commands from outside decide, given now or read from a recording that is simulated again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
     @property

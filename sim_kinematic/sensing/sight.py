@@ -45,7 +45,7 @@ class Places(NamedTuple):
     points: NDArray[np.float64]
     """Middle of each surface, [S, 3] [m]."""
     looked: Flags
-    """True if the agent has looked at it, [S]."""
+    """True for each surface at which the agent has looked, [S]."""
     shut: NDArray[np.int64]
     """Number of the door or drawer that has to be opened first, [S]; -1: none."""
 

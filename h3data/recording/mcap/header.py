@@ -31,7 +31,7 @@ def log_time(t0_unix_ns: int, time_ns: int) -> int:
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
-    """Metadata records that open a log, by name."""
+    """Return the metadata records with which a log begins, by name."""
     episode = episode_metadata(header.episode)
     try:
         # names with lone surrogates come from file systems, and would fail in the middle of the file

@@ -49,7 +49,7 @@ class Surface(NamedTuple):
     triangle: NDArray[np.float64]
     """Ground under each polygon, shape [T, 3, 3] [m]."""
     climb: NDArray[np.float64]
-    """A polygon straight above or below by less than this counts as touched, shape [1] [m]."""
+    """Largest vertical distance from a point to a polygon that it counts as touching, shape [1] [m]."""
     bucket_first: NDArray[np.int32]
     """Polygons that touch bucket (i, j) are ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``,
     shape [bx, bz]."""

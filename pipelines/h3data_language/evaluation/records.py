@@ -47,7 +47,7 @@ NEXT_TO_M = 0.5
 
 
 class Proposition(msgspec.Struct, frozen=True):
-    """A predicate of the home with its arguments; lists of things mean any of them."""
+    """A predicate of the home with its arguments; it is true if it holds for any thing of each list."""
 
     function_name: str
     args: dict[str, Any] = {}

@@ -47,9 +47,9 @@ class EpisodeSummary:
     complete: int
     """Number of episodes that hold the starts of the agents."""
     objects: Spread | None
-    """Objects of an episode that it adds to its scene."""
+    """Numbers of objects that single episodes add to their scenes."""
     goals: Spread | None
-    """Objects of an episode that have to go somewhere."""
+    """Numbers of objects that have to be moved in single episodes."""
     templates: Mapping[str, int]
     """Number of such objects by template, or by name in our own files."""
     sources: Mapping[str, int]

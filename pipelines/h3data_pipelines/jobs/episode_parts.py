@@ -30,7 +30,7 @@ class EpisodePart:
 
 
 def episode_parts(paths: Sequence[AnyPath], *, together: int) -> list[EpisodePart]:
-    """Return all episodes below paths in parts of ``together``, in order.
+    """Return all episodes below paths, in order, in parts of at most ``together`` episodes.
 
     Raises:
         InputError: there is no such path, or nothing below it.

@@ -144,7 +144,7 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
 
 
 def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Return by the name of each of Hall's zones where distances [...] [m] are in it; NaN is in none."""
+    """Return for each of Hall's zones, by name, whether distances [...] [m] are in it; NaN is in no zone."""
     return {
         "intimate": distance < INTIMATE_M,
         "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),

@@ -65,11 +65,11 @@ class Decisions:
     each: Any
     """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     rest: Any
-    """The other inputs, [D, R]."""
+    """Inputs that belong to no single object, [D, R]."""
     pictures: Any
-    """Roots of the depth that was seen, float16 [D, H, W] in 0..1; [D, 0, 0] of a policy that does not see."""
+    """Square roots of depth images, float16 [D, H, W] in 0..1; [D, 0, 0] for a policy without pictures."""
     told: Any
-    """The state, which a policy that sees is not told and the critic is, [D, N]; else [D, 0]."""
+    """Exact state for the critic of a policy that sees only pictures, [D, N]; [D, 0] for other policies."""
     state: Any
     """Recurrent state before the decision, [D, H]."""
     allowed: Any

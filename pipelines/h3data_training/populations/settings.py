@@ -56,7 +56,7 @@ class PopulationSettings:
     of the episodes, for a robot that plays beside either."""
     oracle: bool = False
     """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
-    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were sampled for."""
+    (`h3data_training.populations.worlds`). People are then those of the paper, also in episodes sampled with other people."""
     moves_starts: bool = True
     """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
     success in training tells of success in other homes."""

@@ -48,7 +48,7 @@ RUN_CURVES_FILE = "curve.parquet"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """Episodes of one policy: of all datasets that hold different ones, else of one dataset."""
+    """Episodes of one policy, from one dataset, or from several datasets that hold different episodes."""
 
     name: str
     policy: str
@@ -110,7 +110,7 @@ class Mean:
     deviation: float = np.nan
     """Standard deviation over seeds (n - 1)."""
     seeds: int = 0
-    """Number of seeds that have a mean; 0: these are episodes of one policy."""
+    """Number of seeds that have a mean; 0 for the mean over the episodes of one policy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -37,11 +37,11 @@ class Cell:
     """Value in a table."""
 
     text: str
-    """``0.97 [0.95, 0.99]``; empty: nothing to say."""
+    """Text such as ``0.97 [0.95, 0.99]``; empty for a cell without a value."""
     value: float = NAN
     """Value by which the column is sorted."""
     small: str = ""
-    """Said below, in small type."""
+    """Text in small type below the cell's text."""
     strong: bool = False
     heat: float = NAN
     """Strength of the cell's colour, 0 to 1; NaN for none."""

@@ -77,7 +77,7 @@ class Hands(NamedTuple):
 
 
 class Play(NamedTuple):
-    """W worlds of robot and person."""
+    """State of W worlds, each with a robot and a person who rearrange objects."""
 
     robot: RobotTensors
     human: HumanTensors
