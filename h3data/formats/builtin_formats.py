@@ -51,7 +51,7 @@ def _has(*keys: str) -> Callable[[Mapping[str, Any], str], bool]:
 
 
 def _config(infix: str, *keys: str) -> Callable[[Mapping[str, Any], str], bool]:
-    """Return whether the file is named as a config of Habitat is, or have one of ``keys``."""
+    """Return whether the file is named as a config of Habitat is, or has one of ``keys``."""
     return lambda members, name: f".{infix}." in name or not members.keys().isdisjoint(keys)
 
 

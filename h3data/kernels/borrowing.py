@@ -32,7 +32,7 @@ class _BorrowingLowering(_PartLowering):
 
 
 def _check(state: Any) -> None:
-    """Refuse a part that returns an array, which would be freed while in use, or make or is given one, which never would."""
+    """Refuse a part that returns an array, which would be freed while in use, or makes or is given one, which never would."""
 
     def holds_arrays(kind: types.Type) -> bool:
         return state.targetctx.data_model_manager[kind].contains_nrt_meminfo()

@@ -35,7 +35,7 @@ def intrinsic(function: Callable[..., Any]) -> Any:
 
 
 class Mask:
-    """Eight booleans."""
+    """Vector of eight truth values, as a comparison of two vectors gives."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value

@@ -101,7 +101,7 @@ def load_parts(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> list[Mesh]:
-    """Load the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raise as `load_mesh` does."""
+    """Load the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raises as `load_mesh` does."""
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m

@@ -15,7 +15,10 @@ from h3data.recording.schema import episode_to_dict, layout_of, struct_to_dict, 
 
 
 def recordings_equal(a: Recording, b: Recording) -> list[str]:
-    """Differences, one line each; empty if equal bit for bit. Any NaN equals any NaN; the order of columns does not count."""
+    """Return the differences of two recordings, one line each; no lines if they are equal bit for bit.
+
+    Any NaN equals any NaN, and the order of columns does not count.
+    """
     differences = _dict_differences("episode", _episode(a), _episode(b))
     for kind in ("assets", "bodies", "agents", "skills", "events", "inputs"):
         ours, theirs = getattr(a, kind), getattr(b, kind)

@@ -38,7 +38,7 @@ class PairedComparison:
     """Adjusted for all metrics compared together; equals ``p`` for a single one."""
     method: str
     effect: float
-    """See ``effect_name``; positive where the first is larger; NaN if undefined."""
+    """Size of the effect, of the kind that ``effect_name`` says; positive if the first run is larger, NaN if undefined."""
     effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
     pairs: int
     undefined: int

@@ -64,7 +64,7 @@ class TaskHome(NamedTuple):
     """Identifier of the home in its set, or its name."""
     source: SceneSource
     numbers: tuple[int, ...]
-    """Numbers of its tasks in the run."""
+    """Numbers of the home's tasks in the run."""
     place: int
     """Number of the home among all that the scenes name."""
     homes: int

@@ -93,7 +93,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 
 @kernel(error_model="numpy")
 def integrate(x, z, heading, speed, lateral, turn, dt):
-    """Return the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turn (spec/habitat.md 0).
+    """Return the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
 
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """

@@ -27,7 +27,7 @@ from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 Task = Any
 """`sim_kinematic.tasks.task.Task`, which lies above policies."""
 Episode = Any
-"""`sim_kinematic.tasks.task.Episode`."""
+"""`sim_kinematic.tasks.episode.Episode`, which lies above policies."""
 
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:

@@ -51,7 +51,7 @@ def found_series(
     *,
     thresholds: Thresholds = PAPER,
 ) -> dict[str, NDArray]:
-    """Compute in which rows the robot has found, or follow, the human.
+    """Compute in which rows the robot has found, or follows, the human.
 
     Args:
         robot_pose: pose7 [T, 7].

@@ -26,7 +26,7 @@ MAX_FILE_S = 1000.0
 """Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
 neighbouring float32 numbers are farther apart than that."""
 MAX_FILE_BYTES = 200 << 20
-"""LeRobot's ``video_files_size_in_mb``."""
+"""Size from which the next video goes into another file, LeRobot's ``video_files_size_in_mb`` [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)

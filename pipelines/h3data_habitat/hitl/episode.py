@@ -173,7 +173,7 @@ class HitlEpisode:
     path: Path
     data: bytes
     form: str
-    """``hitl_log`` or ``hitl_episode``."""
+    """Format of the file, ``hitl_log`` or ``hitl_episode``."""
     episode_id: str
     created_by: str
     dt_ns: int

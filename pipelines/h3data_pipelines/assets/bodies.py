@@ -146,7 +146,7 @@ class BodiesBake:
     outfit: Literal["casual", "smart", "knit", "sport", "pyjamas", "dress", "summer"] = "casual"
     """Clothes; any other outfit can be named later: me.npz:dress."""
     palette: int = 0
-    """Which of an outfit's sets of colours."""
+    """Number of the set of colours of the outfit."""
     smplx: Path | None = None
     """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); of the options above, only --skin applies to it."""
     betas: tuple[float, ...] = ()

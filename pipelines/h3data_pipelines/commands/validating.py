@@ -51,7 +51,7 @@ class Validate:
     strict: bool = False
     """Count warnings as errors."""
     workers: int = 1
-    """Processes."""
+    """Number of processes that validate."""
     executor: ExecutorOption = "local"
     json: JsonFlag = False
 

@@ -83,7 +83,7 @@ class Decisions:
     """Discount of returns from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is
     known."""
     counts: NDArray[np.int64]
-    """Decisions of each episode, [E]: D in all."""
+    """Number of decisions in each episode, [E]; their sum is D."""
     partners: tuple[str, ...]
     """Partner of the robot in each episode, [E]."""
 

@@ -58,8 +58,8 @@ class PopulationSettings:
     """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). People are then those of the paper, also in episodes sampled with other people."""
     moves_starts: bool = True
-    """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
-    success in training tells of success in other homes."""
+    """True if, in worlds on a device, each agent begins where it does in any episode of the same home. There are then so many
+    meetings that success in training tells of success in other homes."""
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     pixels: bool = False

@@ -91,7 +91,7 @@ def _identity(path: AnyPath) -> tuple[str, int, int]:
 
 
 def _evict(folder: Path, *, keep: Path) -> None:
-    """Delete the least recently used files until the rest fits; process that have one open keep their pages."""
+    """Delete the least recently used files until the rest fits; processes that have one open keep their pages."""
     text = os.environ.get("H3DATA_CACHE_GB", "20")
     try:
         room = float(text) * 1e9

@@ -28,7 +28,7 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportEpisode:
-    """Measured episode."""
+    """Episode in the report, with its metrics."""
 
     source: AnyPath
     """Dataset or log that holds the episode."""

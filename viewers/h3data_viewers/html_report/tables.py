@@ -64,7 +64,7 @@ class Row:
     name: str
     cells: tuple[Cell, ...]
     small: str = ""
-    """Said below the name, in small type."""
+    """Text in small type below the name."""
 
 
 @dataclass(frozen=True, kw_only=True)

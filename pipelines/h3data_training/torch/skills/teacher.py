@@ -25,8 +25,8 @@ REACHES_M = 0.3
 ALIGNED_RAD = 0.6
 """Angle to the path up to which the robot drives on; beyond it, it turns on the spot [rad]."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
-"""By sight it reaches out wherever the target is as far away as from the stand, within this, and the stand itself is not
-farther than that by the path: around the target, and not behind a wall."""
+"""A robot that sees its target also reaches out if the distance to it differs by less than this from that at the stand, and the
+path to the stand is no longer than the second number: near the target, and not behind a wall [m]."""
 PUTS_M = 0.1
 """Distance from the goal at which the robot lets go [m]."""
 SURE = 1.5
