@@ -143,7 +143,7 @@ class Sight:
         return changes
 
     def sees(self, eye: NDArray[np.float64], heading: float, points: NDArray[np.float64], things: int) -> Flags:
-        """Return which world points [N, 3] an eye [3] sees that looks along a heading [rad]; the first ``things`` are things."""
+        """Return which points [N, 3] an eye [3] sees that looks along a heading [rad]; the first ``things`` are things."""
         seen = np.empty(len(points), np.bool_)
         _see(eye, float(heading), points, things, *self.boxes, seen)
         return seen
