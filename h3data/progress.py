@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 from collections.abc import Iterable
+from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from h3data.terminal import printable
@@ -17,7 +18,8 @@ LINE_EVERY_S = 30.0
 """Seconds between two lines off a terminal; shorter work prints none."""
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
-_shown = False
+BEGUN = Event()
+"""Set once this process has shown progress: notices, which would come between its lines, are too late then."""
 
 
 def is_quiet() -> bool:
@@ -30,16 +32,6 @@ def say(line: str) -> None:
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
-
-
-def has_begun() -> bool:
-    """Return whether this process has shown progress: notices, which would come between its lines, are too late then."""
-    return _shown
-
-
-def _has_begun() -> None:
-    global _shown
-    _shown = True
 
 
 def progress(
@@ -80,7 +72,7 @@ def progress(
         "file": sys.stderr,
     }
     if terminal and not silent:
-        _has_begun()
+        BEGUN.set()
     if silent or terminal:
         return tqdm(items, delay=delay, leave=leave, **shared)
     form = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
@@ -110,7 +102,7 @@ def _lines_bar() -> type[tqdm[Any]]:
         def display(self, msg: str | None = None, pos: int | None = None) -> None:
             text = str(self) if msg is None else msg
             if text:
-                _has_begun()
+                BEGUN.set()
                 self.fp.write(text + "\n")
                 self.fp.flush()
 

@@ -34,7 +34,7 @@ from h3data.kernels import shipped
 from h3data.kernels.borrowing import BorrowingCompiler, borrowing_type
 from h3data.kernels.digests import source_digest
 from h3data.kernels.parts import PartCompiler, part_type
-from h3data.progress import has_begun, is_quiet
+from h3data.progress import BEGUN, is_quiet
 
 try:
     import fcntl
@@ -191,7 +191,7 @@ def _announce() -> None:
 
     Between lines of progress it would only puzzle.
     """
-    if is_quiet() or has_begun() or not _log.isEnabledFor(logging.INFO):
+    if is_quiet() or BEGUN.is_set() or not _log.isEnabledFor(logging.INFO):
         return
     parent = parent_process()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as announcer:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from h3data.plugins import Registry
 
 MESHOPT = "EXT_meshopt_compression"
-CODECS: Registry[Callable[..., NDArray[np.uint8]]] = Registry("h3data.gltf_codecs", {}, what="codec of glTF files")
-"""Decoders of compressed buffer views, by the extension that describes them."""
 
 
 @dataclass(frozen=True)
 class GltfArrays:
     """The accessors and buffer views of one document."""
 
+    codecs: ClassVar[Registry[Callable[..., NDArray[np.uint8]]]] = Registry(
+        "h3data.gltf_codecs", {}, what="codec of glTF files"
+    )
+    """Decoders of compressed buffer views, by the extension that describes them."""
     document: dict[str, Any]
     buffer: Callable[[int], bytes | memoryview]
     """Returns all bytes of a buffer by index; may raise `ValueError`."""
@@ -75,7 +77,7 @@ class GltfArrays:
         count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)
         data, mode = self._bytes(packed, where), str(packed.get("mode"))
         try:
-            unpacked = CODECS.get(MESHOPT)(
+            unpacked = self.codecs.get(MESHOPT)(
                 data, mode=mode, filter=str(packed.get("filter", "NONE")), count=count, stride=stride
             )
         except ValueError as fault:

@@ -99,10 +99,13 @@ def compare_paired(
         name = "exact permutation"
     p, effect = test(d, seed) if len(d) > 1 else (float("nan"), float("nan"))
     low, high = bootstrap_interval(d, confidence=confidence, seed=seed)
+    first_mean, second_mean, difference = (
+        float(values.mean()) if len(values) else float("nan") for values in (a, b, d)
+    )
     return PairedComparison(
-        first_mean=_mean(a),
-        second_mean=_mean(b),
-        difference=_mean(d),
+        first_mean=first_mean,
+        second_mean=second_mean,
+        difference=difference,
         low=low,
         high=high,
         p=p,
@@ -127,10 +130,6 @@ def _notes(d: NDArray[np.float64], method: PairedMethod, *, binary: bool) -> lis
         what = "1 pair that differs" if differ == 1 else f"{differ} pairs that differ"
         notes.append(f"With {what}, this test gives no p below {least:.3g}, whatever the values.")
     return notes
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(values.mean()) if len(values) else float("nan")
 
 
 def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:

@@ -8,7 +8,7 @@ A name is looked up in the task, in the policies of every task (`COMMON`), and i
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -103,8 +103,8 @@ def is_address(name: str) -> bool:
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
 """The name of a policy, ``weights:FILE``, ``module:name``, ``ws://host:port``; a policy; a function ``(view, base)``;
 `External` for somebody who decides outside."""
-Chosen = str | Any | Sequence[Any]
-Assigned = Mapping[str, Chosen]
+Assigned = Mapping[str, Any]
+"""Policies by agent or kind: a `PolicyChoice`, or a sequence with one for each agent of a kind."""
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
 
 
@@ -132,7 +132,9 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     if task.usage.can_be_solo and chosen.get("robot") == SOLO:
         del chosen["robot"]  # the episode has no robot
     names = [member.name for member in members]
-    strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
+    # ``person_2`` stands for ``human_2``
+    aliases = {name.replace("human", "person", 1): name for name in names if name.startswith("human")}
+    strangers = [key for key in chosen if key not in names and key not in KINDS and key not in aliases]
     if strangers:
         raise InputError(
             f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}",
@@ -143,7 +145,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
         if kind is None:
-            picked[names.index(_alias(key, names) or key)] = choice
+            picked[names.index(aliases.get(key, key))] = choice
             continue
         numbers = [k for k, member in enumerate(members) if member.kind == kind]
         for number, one in zip(numbers, each_of(choice, len(numbers), kind), strict=True):
@@ -157,13 +159,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     return made
 
 
-def _alias(key: str, names: Sequence[str]) -> str:
-    """Return the agent's name that an alias stands for, as ``person_2`` does for ``human_2``; else empty."""
-    name = key.replace("person", "human", 1)
-    return name if name in names and key.startswith("person") else ""
-
-
-def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
+def each_of(choice: Any, count: int, kind: str) -> list[Any]:
     """Return one choice for each of ``count`` agents: one name for all, or one for each, as a sequence or separated by commas.
 
     Raises:

@@ -267,12 +267,11 @@ def _gps(points: Callable[[Context], Any]) -> Sensor:
     return Sensor(lambda m: _polar_of(m, points(m)[..., 0:3:2]), **_POLAR, times="objects")
 
 
-def _in_hand(points: Callable[[Context], Any]) -> Sensor:
-    return Sensor(lambda m: _flat(m, m.in_hand(points(m))), **_POINT, frame="hand", times="objects")
+def _in_frame(frame: Literal["hand", "start"], points: Callable[[Context], Any]) -> Sensor:
+    def seen(m: Context) -> Any:
+        return _flat(m, m.in_hand(points(m)) if frame == "hand" else m.from_start(points(m)))
 
-
-def _from_start(points: Callable[[Context], Any]) -> Sensor:
-    return Sensor(lambda m: _flat(m, m.from_start(points(m))), **_POINT, frame="start", times="objects")
+    return Sensor(seen, **_POINT, frame=frame, times="objects")
 
 
 def _one_of_choices(outcome: Ending) -> Sensor:
@@ -356,8 +355,8 @@ TABLE: Mapping[str, Sensor] = {
     # of rearrangement
     "obj_start_gps_compass": _gps(lambda m: m.starts),
     "obj_goal_gps_compass": _gps(lambda m: m.goals),
-    "obj_start_sensor": _in_hand(lambda m: m.starts),
-    "obj_goal_sensor": _in_hand(lambda m: m.goals),
+    "obj_start_sensor": _in_frame("hand", lambda m: m.starts),
+    "obj_goal_sensor": _in_frame("hand", lambda m: m.goals),
     "other_agent_gps": Sensor(
         lambda m: other_agent_gps(m.now.xz, m.other.xz, xp=m.xp),
         (-FAR_M,) * 2,
@@ -367,15 +366,15 @@ TABLE: Mapping[str, Sensor] = {
         of_other=True,
     ),
     "obj_gps_compass": _gps(lambda m: m.objects),
-    "obj_sensor": _in_hand(lambda m: m.objects),
+    "obj_sensor": _in_frame("hand", lambda m: m.objects),
     "holds": Sensor(lambda m: m.held_by == m.agent, **_FLAG, times="objects"),
     "held_by_other": Sensor(lambda m: (m.held_by != m.agent) & (m.held_by != NOBODY), **_FLAG, times="objects"),
     "at_goal": Sensor(lambda m: m.at_goal, **_FLAG, times="objects"),
     "other_gps_compass": _OTHER_GPS,
     "close": Sensor(lambda m: m.close[..., None], **_FLAG, of_other=True),
-    "obj_start_in_start_frame": _from_start(lambda m: m.starts),
-    "obj_goal_in_start_frame": _from_start(lambda m: m.goals),
-    "obj_in_start_frame": _from_start(lambda m: m.objects),
+    "obj_start_in_start_frame": _in_frame("start", lambda m: m.starts),
+    "obj_goal_in_start_frame": _in_frame("start", lambda m: m.goals),
+    "obj_in_start_frame": _in_frame("start", lambda m: m.objects),
     "last_done": _one_of_choices("done"),
     "interrupted": _one_of_choices("aborted"),
     "last_failed": _one_of_choices("failed"),

@@ -151,7 +151,10 @@ def resume(
     Raises:
         InputError: There is no such step or policy, or the recorded states before it do not come out again.
     """
-    chosen = {**_by_kind(policy, partner), **(agents or {})}
+    chosen = {
+        **{kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None},
+        **(agents or {}),
+    }
     if is_counterfactual(recording):
         if any(KINDS.get(key, "human") == "human" for key in chosen):
             raise InputError(
@@ -175,7 +178,7 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
             "Expected a recording of robots and people: people keep their tracks, robots follow the policy.",
             code="H3-TASK-036",
         )
-    return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
+    return _continued(recording, step, {} if policy is None else {"robot": policy}, keeps_people=True)
 
 
 class AddedTime(NamedTuple):
@@ -432,10 +435,6 @@ def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
             numbers = [k for k, other in enumerate(episode.roster) if other.kind == kind]
             return each_of(new[key], len(numbers), kind)[numbers.index(number)]
     return None
-
-
-def _by_kind(policy: Any, partner: Any) -> dict[str, Any]:
-    return {kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None}
 
 
 def _numbers(recording: Recording, kind: str) -> list[int]:

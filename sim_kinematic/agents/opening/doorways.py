@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -17,14 +18,14 @@ from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
 """Additional distance that agents rather walk than open a door [m]."""
-OPEN_SHARE = 0.95
-"""Share of their range from which on open doors do not block a path."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
+    open_share: ClassVar[float] = 0.95
+    """Share of their range from which on open doors do not block a path."""
     scene: Scene
     """Home with the doors as they are at rest."""
     open_scene: Scene
@@ -59,7 +60,7 @@ class RoomDoors:
             return []
         line, found = shapely.LineString(path), []
         for k in self.joints:
-            if shares[k] > OPEN_SHARE:
+            if shares[k] > self.open_share:
                 continue
             for outline in outlines(self.scene, k, positions):
                 if line.distance(outline) < radius_m:
@@ -69,7 +70,7 @@ class RoomDoors:
 
     def any_closed(self, positions: Array) -> bool:
         """Return whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
-        return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
+        return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= self.open_share).any())
 
     def first(
         self,

@@ -298,8 +298,9 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         assert isinstance(episode, RearrangeEpisode)
         if episode.wording:
             return episode.wording
-        errands = [f"bring the {spoken(t.name) or 'object'} to {_there(t.destination)}" for t in episode.targets]
-        return " and ".join(errands)
+        places = [f"the {words}" if (words := spoken(t.destination)) else "its goal" for t in episode.targets]
+        things = [spoken(t.name) or "object" for t in episode.targets]
+        return " and ".join(f"bring the {thing} to {place}" for thing, place in zip(things, places, strict=True))
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Policies, rules, starts, objects and goals for the recording's info."""
@@ -495,11 +496,6 @@ def spoken(name: str) -> str:
     digest = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
     words = [word for word in re.split(r"[_\W]+", instance) if word and not digest.fullmatch(word)]
     return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if digest.search(instance) else instance)
-
-
-def _there(destination: str) -> str:
-    words = spoken(destination)
-    return f"the {words}" if words else "its goal"
 
 
 def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
