@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
@@ -19,9 +19,6 @@ class Footprint(NamedTuple):
         return max(map(abs, self.offsets_m)) + self.radius_m
 
 
-QUAD_ARM = Footprint((-0.3, 0.0, 0.4), 0.3)
-"""``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
-plan paths through its hind legs."""
 PERSON = Footprint((0.0,), 0.3)
 """A person, as agents that plan around them see them."""
 
@@ -37,7 +34,9 @@ class AvoidanceSpec:
 
     # --- sizes ---------------------------------------------------------------------------------------------------------
     person: Footprint = PERSON
-    robot: Footprint = QUAD_ARM
+    robot: Footprint = field(default=Footprint((-0.3, 0.0, 0.4), 0.3))
+    """``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
+    plan paths through its hind legs."""
     robot_margin_m: float = 0.05
     """Width that is added to those discs beyond the base discs, for legs and an arm that sway."""
 
