@@ -44,7 +44,7 @@ _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
 
 @contextmanager
 def names_from_data() -> Iterator[None]:
-    """Within it, names come from a file and not from the user: only built-in, installed and trusted ones are looked up."""
+    """Mark names in this context as read from a file: only built-in, installed and trusted ones are looked up."""
     token = _FROM_DATA.set(True)
     try:
         yield

@@ -93,7 +93,7 @@ class Posture(NamedTuple):
     clip: NDArray[np.int64]
     """Index of the motion clip."""
     phase: Array
-    """Place in its cycle, 0..1."""
+    """Place in the cycle of the clip, 0..1."""
     blend: Array
     """Weight of the clip over standing, 0..1."""
     arms: Array

@@ -56,7 +56,7 @@ class EpisodeMetrics:
     policy: str = ""
     """``info:policy``: the policy of the robot."""
     partner: str = ""
-    """Policy of the person, ``info:partner``; for a shared recording, one of those who share it (`for_each_partner`)."""
+    """Policy of the person, ``info:partner``; of a recording that several partners share, one of them (`for_each_partner`)."""
     max_steps: int = 0
     """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
 

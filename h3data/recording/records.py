@@ -161,7 +161,7 @@ class Episode:
     uid: str
     """Globally unique, a uuid."""
     episode_id: str
-    """Name within its dataset."""
+    """Name of the episode within its dataset."""
     task: str
     """``social_nav``, ``gfx_replay``, ..."""
     scene: str

@@ -29,7 +29,7 @@ class SceneEntry:
     """Scene of a set."""
 
     id: str
-    """Unique in its set and stable when scenes are added."""
+    """Name of the scene, unique in its set and unchanged when scenes are added."""
     source: SceneSource
 
 

@@ -17,7 +17,7 @@ from h3data_homes.spec import HomePreset, HomeSpec, stage_rng
 
 CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
-"""Share of its bounding box that an L- or T-shaped footprint leaves out."""
+"""Share of the bounding box that an L- or T-shaped footprint leaves out."""
 _SQUARE_BELOW_M2 = 90.0
 """Smaller homes are rectangles: they have too few rooms to go around a corner."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0

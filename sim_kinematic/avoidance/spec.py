@@ -10,7 +10,7 @@ class Footprint(NamedTuple):
     """Discs along the x axis of an agent that cover its outline on the floor."""
 
     offsets_m: tuple[float, ...]
-    """Offsets of their centres along the heading."""
+    """Offsets of the discs' centres along the heading [m]."""
     radius_m: float
 
     @property
@@ -130,7 +130,7 @@ class AvoidanceSpec:
     aside_m: tuple[float, float, float] = (0.8, 1.1, 1.3)
     """Distance to the other's path that counts as aside: two people, a person and a robot, two robots."""
     aside_share: float = 0.8
-    """Share of that distance that is accepted where there is no more room."""
+    """Share of the distance to a path that is accepted for stepping aside where there is no more room."""
     beside_m: tuple[float, float] = (0.65, 0.9)
     """An agent is on the path of a person, or of a robot, if the centre of one of its discs is this close to it."""
     asks_idle_m: float = 2.5

@@ -58,7 +58,7 @@ class Boxes(NamedTuple):
     centers: NDArray[np.float64]
     """Middle of each [B, 3] [m]."""
     halves: NDArray[np.float64]
-    """Half of its size [B, 3] [m]."""
+    """Half of the size of each box, [B, 3] [m]."""
     bounds: NDArray[np.float64]
     """Bounds of the furniture of each box, or of the box itself, from the middle of the box [B, 2, 3] [m]."""
 

@@ -25,7 +25,7 @@ MOVES_MPS, OVER_S = 0.2, 0.5
 PASSING_M = 4.0
 """Distance that moving agents must come below to count as crossing [m]."""
 COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
-"""Paths of the agents, by number."""
+"""Colours of the agents' paths, by the number of the agent."""
 PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
 WIDTH_PX, VIEW_PX, PLAN_PX = 360, 270, 320
 """Size of a panel: its width, the height of its picture, and the largest height of its plan."""

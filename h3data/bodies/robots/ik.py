@@ -28,7 +28,7 @@ class IkResult:
     position_error_m: NDArray[np.float64]
     """Distance that is left to the target, shape [*batch]."""
     rotation_error_rad: NDArray[np.float64]
-    """Angle that is left, shape [*batch]; 0 where only a position was asked for."""
+    """Angle between the wanted and the reached rotation, shape [*batch] [rad]; 0 where only a position was asked for."""
     reached: NDArray[np.bool_]
     """True if both errors are within their tolerances, shape [*batch]."""
     clamped: NDArray[np.bool_]

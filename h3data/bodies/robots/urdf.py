@@ -98,7 +98,7 @@ class Urdf:
     rest: Mapping[str, float] = field(default_factory=dict)
     """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
     has_posture: bool = False
-    """True if these are a posture that the robot's maker wants it to rest in, arms included."""
+    """True if the joint positions are a posture in which the robot's maker wants it to rest, arms included."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:

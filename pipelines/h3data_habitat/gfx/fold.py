@@ -91,7 +91,7 @@ class Life:
     semantic_id: int = 0
     updates: Updates = field(default_factory=Updates)
     track: int = -1
-    """Number of its track among those of moving instances; -1: it never moves."""
+    """Number of the instance's track among those of moving instances; -1 if it never moves."""
 
     @property
     def placed(self) -> bool:

@@ -50,7 +50,7 @@ class Well:
     """A straight stairwell along z between two storeys."""
 
     rect: Rect
-    """Floor between its walls, landings included."""
+    """Floor between the walls of the stairwell, landings included."""
     ramp: Ramp
     doors: tuple[tuple[float, float], tuple[float, float]]
     """Spans in z of the doorways: to the ground floor at the lower x, to the upper storey at the higher x."""

@@ -61,7 +61,7 @@ class EpisodeSummary:
     apart_m: Spread | None
     """Straight distance between the starts of robot and person [m]."""
     predicates: Mapping[str, int]
-    """PARTNR's propositions by function."""
+    """Number of PARTNR's propositions, by the name of their function."""
     instructions: tuple[str, ...]
     unplayable: Mapping[str, int]
     """Number of rearrangement episodes by the reason why they cannot be played anywhere."""

@@ -32,7 +32,7 @@ class RobotTensors(NamedTuple):
         return cls(xz, heading, torch.tensor(state.contact, device=device))
 
     def put(self, state: RobotState) -> None:
-        """Copy them into arrays; this waits for the device."""
+        """Copy the robots into arrays; this waits for the device."""
         for array, tensor in zip([state.xz, state.heading, state.contact], self, strict=True):
             array[:] = tensor.cpu().numpy()
 
@@ -55,7 +55,7 @@ class HumanTensors(NamedTuple):
         return cls(*_on_device([getattr(state, name) for name in cls._fields], device, dtype))
 
     def put(self, state: HumanState) -> None:
-        """Copy them into arrays; this waits for the device."""
+        """Copy the people into arrays; this waits for the device."""
         for name, tensor in self._asdict().items():
             getattr(state, name)[:] = tensor.cpu().numpy()
 

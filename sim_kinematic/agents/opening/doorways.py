@@ -25,7 +25,7 @@ class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
     open_share: ClassVar[float] = 0.95
-    """Share of their range from which on open doors do not block a path."""
+    """Share of a door's range from which on an open door does not block a path."""
     scene: Scene
     """Home with the doors as they are at rest."""
     open_scene: Scene

@@ -193,7 +193,7 @@ class RearrangeEpisode(Episode):
     added: tuple[EpisodeObject, ...] = ()
     """Objects of ``scene`` that the file of the episode added to it."""
     object_paths: tuple[str, ...] = ()
-    """Folders with their templates."""
+    """Folders with the templates of the objects."""
     wording: str = ""
     """The instruction in the file of the episode; empty: it follows from the targets."""
     is_sampled: bool = True

@@ -42,7 +42,7 @@ class Patch:
     joints: NDArray[np.uint8]
     """Joints that move each vertex, shape [V, 4]."""
     weights: Floats
-    """Weights of these joints, which sum to 1, shape [V, 4]."""
+    """Weights of the joints that move each vertex, which sum to 1, shape [V, 4]."""
     slots: NDArray[np.uint8]
     """Index into `SLOTS` of the colour that each vertex has, shape [V]."""
     shade: Floats
