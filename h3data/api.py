@@ -30,7 +30,7 @@ def open(path: str | os.PathLike[str], kind: type[T]) -> T: ...
 @overload
 def open(path: str | os.PathLike[str]) -> Any: ...
 def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
-    """Opens recordings, datasets and scenes, by whatever name the command line knows them.
+    """Open recordings, datasets and scenes, by whatever name the command line knows them.
 
     ====================================================  ==========================================
     ``episode.mcap``, ``ds#3``                             `Recording`
@@ -89,6 +89,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def _open(path: str) -> Any:
+    from h3data.recording.finding import find_episodes
     from h3data.recording.parquet.files import is_dataset
     from h3data.scene.open import is_builtin_name, named_scenes, open_scene, open_scene_path
 
@@ -104,19 +105,14 @@ def _open(path: str) -> Any:
     place = Path(path)
     # a shell that finds nothing passes the pattern on; a file may have such signs in its name, and an URI its query
     if re.search(r"[*?\[]", path) and "://" not in path and not place.exists():
-        return _below(sorted(glob.glob(path, recursive=True)), path)
-    if place.is_dir() and not is_dataset(place):
-        return _below([path], path)
-    return open_recording(path)
-
-
-def _below(paths: list[str], named: str) -> Episodes:
-    """Every episode below some paths."""
-    from h3data.recording.finding import find_episodes
-
-    if not paths:
-        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}", code="H3-FILE-003")
-    return Episodes(find_episodes(paths))
+        found = sorted(glob.glob(path, recursive=True))
+    elif place.is_dir() and not is_dataset(place):
+        found = [path]
+    else:
+        return open_recording(path)
+    if not found:
+        raise InputError(f"No file has such a name. Expected recordings or datasets: {path}", code="H3-FILE-003")
+    return Episodes(find_episodes(found))
 
 
 @overload
@@ -126,7 +122,7 @@ def measure(
     recordings: Dataset | Iterable[Recording] | str | os.PathLike[str], profile: str | None = None
 ) -> MetricsTable: ...
 def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | MetricsTable:
-    """Computes task metrics: the values of one recording, or the table of many with means and 95% intervals.
+    """Compute task metrics: the values of one recording, or the table of many with means and 95% intervals.
 
     Args:
         recordings: A recording; or a dataset, episodes, or the path of a log, a dataset, or a folder of these.
@@ -161,7 +157,7 @@ def render_frame(
     light: LightMode = "baked",
     stand_ins: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
+    """Return one picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
 
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people``,
     ``light`` and ``stand_ins`` of its own.

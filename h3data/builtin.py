@@ -12,7 +12,7 @@ from h3data.errors import InputError
 
 
 def builtin_root() -> Path:
-    """Folder of the shipped definitions and baked assets (bodies, robots, dataset specs).
+    """Return the folder of the shipped definitions and baked assets (bodies, robots, dataset specs).
 
     Raises:
         InputError: the installation is incomplete.
@@ -21,7 +21,7 @@ def builtin_root() -> Path:
 
 
 def pages_root() -> Path:
-    """Folder of the documentation's pages.
+    """Return the folder of the documentation's pages.
 
     Raises:
         InputError: the installation is incomplete.
@@ -30,7 +30,7 @@ def pages_root() -> Path:
 
 
 def _shipped(installed: str, checkout: str, what: str) -> Path:
-    """A folder that ships with the package: within it where it is installed, beside it in a checkout."""
+    """Return a folder that ships with the package: within it where it is installed, beside it in a checkout."""
     # the wheel's folder first, as a checkout has none; an installed package may have anything beside it
     package = Path(__file__).resolve().parent
     for candidate in (package / installed, package.parent / checkout):
@@ -44,7 +44,7 @@ def _shipped(installed: str, checkout: str, what: str) -> Path:
 
 
 def builtin_path(relative: str) -> Path:
-    """Path of one shipped file, e.g. ``builtin_path("bodies/female_0.npz")``.
+    """Return the path of one shipped file, e.g. ``builtin_path("bodies/female_0.npz")``.
 
     Raises:
         InputError: there is no such file; the message lists its siblings.

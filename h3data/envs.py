@@ -15,10 +15,11 @@ its environments when it is imported. ``import h3data`` does so too if Gymnasium
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from h3data.errors import MissingExtraError
-from h3data.plugins import import_name, own_entries
+from h3data.moved import lazy_names
+from h3data.plugins import own_entries
 
 if TYPE_CHECKING:
     from h3data_training.envs.dataset_env import DatasetEnv
@@ -28,15 +29,6 @@ if TYPE_CHECKING:
     from sim_kinematic.envs.stepper import Options, Stepper
     from sim_kinematic.envs.vector import TaskVectorEnv
 
-_HOMES = {
-    "DatasetEnv": "h3data_training.envs.dataset_env",
-    "Options": "sim_kinematic.envs.stepper",
-    "Stepper": "sim_kinematic.envs.stepper",
-    "TaskEnv": "sim_kinematic.envs.single",
-    "TaskParallelEnv": "sim_kinematic.envs.parallel",
-    "TaskVectorEnv": "sim_kinematic.envs.vector",
-    "make": "sim_kinematic.envs.make",
-}
 __all__ = ["IDS", "DatasetEnv", "Options", "Stepper", "TaskEnv", "TaskParallelEnv", "TaskVectorEnv", "make"]
 
 try:
@@ -53,9 +45,16 @@ for _id, _task in IDS.items():
     if _id not in gymnasium.registry:  # a reload would make Gymnasium warn
         gymnasium.register(_id, entry_point="h3data:make", vector_entry_point="h3data:make", kwargs={"task": _task})
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'h3data.envs' has no attribute {name!r}; it has {', '.join(__all__)}")
-    # imported when it is asked for: what is here needs more than registering ids does
-    return import_name(_HOMES[name], name)
+# imported when they are asked for: what is here needs more than registering ids does
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "DatasetEnv": "h3data_training.envs.dataset_env",
+        "Options": "sim_kinematic.envs.stepper",
+        "Stepper": "sim_kinematic.envs.stepper",
+        "TaskEnv": "sim_kinematic.envs.single",
+        "TaskParallelEnv": "sim_kinematic.envs.parallel",
+        "TaskVectorEnv": "sim_kinematic.envs.vector",
+        "make": "sim_kinematic.envs.make",
+    },
+)

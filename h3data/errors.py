@@ -60,7 +60,7 @@ class UntrustedNameError(InputError):
 
 
 def with_code(error: BaseException) -> str:
-    """Returns the text of an error, with its code at the end if it has one, for a shell, a log or the record of a job."""
+    """Return the text of an error, with its code at the end if it has one, for a shell, a log or the record of a job."""
     return f"{error} [{error.code}]" if isinstance(error, H3DataError) else str(error)
 
 

@@ -16,12 +16,12 @@ from h3data.errors import InputError
 
 
 def size_text(count: int) -> str:
-    """A number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
+    """Return a number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
 def spreadsheet_cell(value: Any) -> Any:
-    """A cell of a CSV file that no spreadsheet runs as a formula.
+    """Return a cell of a CSV file that no spreadsheet runs as a formula.
 
     Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
     break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
@@ -35,7 +35,7 @@ def spreadsheet_cell(value: Any) -> Any:
 
 
 def path_inside(name: str) -> str | None:
-    """A relative path that a file names, normalised with forward slashes; None if it leads out of the file's folder."""
+    """Return a relative path that a file names, normalised with forward slashes; None if it leads out of the file's folder."""
     # programs on Windows write backslashes, also into files that have to be read everywhere
     clean = posixpath.normpath(name.replace("\\", "/"))
     outside = clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]  # C:/
@@ -59,7 +59,7 @@ def cache_folder(kind: str) -> Path | None:
 
 
 def evict(folder: Path, room: float, *, keep: Path) -> None:
-    """Deletes the least recently used files of a cache folder until the rest fits in ``room`` bytes.
+    """Delete the least recently used files of a cache folder until the rest fits in ``room`` bytes.
 
     ``keep``, the file written last, is never deleted, but its size counts. Unfinished files that killed processes left
     more than a day ago are deleted as well. A process that has a deleted file open can still read it.
@@ -88,7 +88,7 @@ def part_file(
     shared: bool = False,
     kept_after: tuple[type[BaseException], ...] | type[BaseException] = (),
 ) -> Iterator[Path]:
-    """Yields a temporary path next to ``path``, which is renamed to ``path`` on success.
+    """Yield a temporary path next to ``path``, which is renamed to ``path`` on success.
 
     Any exception removes the temporary file, except the types in ``kept_after``. Its path is ``<path>.part``, made
     absolute because libraries take a relative one such as ``walk:1.mp4`` for a URI. With ``shared`` its name is unique,

@@ -44,7 +44,7 @@ _F64 = np.dtype(np.float64)
 
 
 def _is_single(value: Any) -> bool:
-    """Returns whether a value is a single float64 vector, which is computed in Python floats.
+    """Return whether a value is a single float64 vector, which is computed in Python floats.
 
     The same operations in the same order give the same bits, in a quarter of the time of NumPy's calls on four numbers;
     agents pose one such vector each per step.
@@ -56,12 +56,12 @@ Share = TypeVar("Share", float, NDArray[np.float64], Array)
 
 
 def smoothstep(share: Share) -> Share:
-    """Returns the share of a way at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
+    """Return the share of a way at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
     return share * share * (3 - 2 * share)
 
 
 def minimum_jerk(share: Share) -> Share:
-    """Returns the share of a way at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
+    """Return the share of a way at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
 
     It is the minimum-jerk profile of Flash and Hogan (1985).
     """
@@ -137,7 +137,7 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 
 def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
-    """Vectors [..., 3] rotated by unit quaternions [..., 4]."""
+    """Return vectors [..., 3] rotated by unit quaternions [..., 4]."""
     if _is_single(q) and _is_single(vectors):
         return np.array(_rotated(q.tolist(), vectors.tolist()))  # type: ignore[union-attr]
     q, v = _floating(q), _floating(vectors)
@@ -155,7 +155,7 @@ def _rotated(q: list[float], v: list[float]) -> tuple[float, float, float]:
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
-    """Quaternions [..., 4] of rotations by ``angle_rad`` [...] about ``axis`` [..., 3] (any length)."""
+    """Return quaternions [..., 4] of rotations by ``angle_rad`` [...] about ``axis`` [..., 3] (any length)."""
     half = _floating(angle_rad)[..., None] / 2
     axis = normalized(axis)
     turned = axis * np.sin(half)
@@ -165,13 +165,13 @@ def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
+    """Return quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
     r = _floating(rotvec)
     return quat_from_axis_angle(r, np.linalg.norm(r, axis=-1))
 
 
 def quat_from_heading(heading_rad: ArrayLike) -> Array:
-    """Quaternions [..., 4] of headings [...]: rotation about +Y, 0 faces +X, positive turns left."""
+    """Return quaternions [..., 4] of headings [...]: rotation about +Y, 0 faces +X, positive turns left."""
     if isinstance(heading_rad, float):  # also NumPy's; the same bits, in a third of the time
         return np.array([0.0, np.sin(heading_rad / 2), 0.0, np.cos(heading_rad / 2)])
     half = _floating(heading_rad) / 2
@@ -336,13 +336,13 @@ def pose_inverse(pose: ArrayLike) -> Array:
 
 
 def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
-    """Points [..., N, 3] transformed by 4x4 (or 3x4) matrices [..., 4, 4]."""
+    """Return points [..., N, 3] transformed by 4x4 (or 3x4) matrices [..., 4, 4]."""
     m, p = _floating(matrix), _floating(points)
     return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
 
 
 def distance_to_circles(points: Any, headings: Any, circles: Any, *, xp: Any = np) -> Any:
-    """Returns the distance [..., R] [m] from floor points along headings to the first circle; inf: none, 0: inside of one.
+    """Return the distance [..., R] [m] from floor points along headings to the first circle; inf: none, 0: inside of one.
 
     Args:
         points: Points (x, z) [..., 2] [m].

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
@@ -266,28 +266,37 @@ RENAMED = {
 }
 """New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
 
-`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own calls `refuse_renamed` there.
+`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own makes it by `lazy_names`.
 """
 
 
-_OLD_HOMES = frozenset(name.rpartition(".")[0] for name in RENAMED)
+def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` for a module that imports names at their first use.
 
+    It answers old names of `RENAMED` with an ImportError that says the new one.
 
-def refuse_renamed(module: str) -> Callable[[str], Any]:
-    """Makes a module's ``__getattr__``, which answers old names of `RENAMED` with an ImportError that says the new one."""
+    Args:
+        module: Name of the module.
+        homes: Module that defines each name; one that begins with a dot lies in ``module``, a package.
+    """
 
-    def refuse(name: str) -> Any:
+    def find(name: str) -> Any:
+        if name in homes:
+            from h3data.plugins import import_name
+
+            return import_name(f"{module}{homes[name]}" if homes[name].startswith(".") else homes[name], name)
         new = RENAMED.get(f"{module}.{name}")
         if new is None:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+            more = f"; it has {', '.join(homes)}" if homes else ""
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{more}")
         # not an AttributeError: ``from module import name`` would replace its text
         raise ImportError(f"{module}.{name} is {new} now.", name=module)
 
-    return refuse
+    return find
 
 
 def new_name(module: str) -> str | None:
-    """The name that a module of an earlier version has now; None if it has not moved."""
+    """Return the name that a module of an earlier version has now; None if it has not moved."""
     old = module
     # from the module outwards: what is inside a package that has moved as a whole has moved with it
     while old and old not in MOVED:
@@ -301,7 +310,7 @@ class MovedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Raises a ModuleNotFoundError with the new name of a module that has moved; None for all others."""
+        """Raise a ModuleNotFoundError with the new name of a module that has moved; None for all others."""
         now = new_name(fullname)
         if now is not None:
             # Python asks for packages before what is in them, so that only the outermost old name is ever seen here
@@ -313,19 +322,22 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`refuse_renamed`)."""
+    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
+
+    modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
+    """Modules whose objects were renamed."""
 
     @classmethod
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Returns the module's own specification; None for modules without renamed objects."""
-        spec = super().find_spec(fullname, path, target) if fullname in _OLD_HOMES else None
+        """Return the module's own specification; None for modules without renamed objects."""
+        spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
         if spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 
             def run_guarded(module: ModuleType) -> None:
-                vars(module)["__getattr__"] = refuse_renamed(fullname)
+                vars(module)["__getattr__"] = lazy_names(fullname)
                 run(module)
 
             spec.loader.exec_module = run_guarded
@@ -333,6 +345,6 @@ class RenamedFinder(PathFinder):
 
 
 def announce_moves() -> None:
-    """Makes imports of old names say the new ones, in this process."""
+    """Make imports of old names say the new ones, in this process."""
     if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
         sys.meta_path[:] = [RenamedFinder, *sys.meta_path, MovedFinder()]

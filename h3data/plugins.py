@@ -44,7 +44,7 @@ _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
 
 @contextmanager
 def names_from_data() -> Iterator[None]:
-    """Within it, names come from a file and not from the user: only built-in, installed and trusted ones are looked up."""
+    """Mark names in this context as read from a file: only built-in, installed and trusted ones are looked up."""
     token = _FROM_DATA.set(True)
     try:
         yield
@@ -53,12 +53,12 @@ def names_from_data() -> Iterator[None]:
 
 
 def come_from_data() -> bool:
-    """Returns whether names come from a file now (`names_from_data`), and not from the user."""
+    """Return whether names come from a file now (`names_from_data`), and not from the user."""
     return _FROM_DATA.get()
 
 
 def trust(*modules: str) -> None:
-    """Lets data name objects of these modules, and of modules within them, until this process and those it starts end.
+    """Let data name objects of these modules, and of modules within them, until this process and those it starts end.
 
     A module that the user names (``Registry.get`` outside `names_from_data`) is trusted likewise.
     """
@@ -75,30 +75,16 @@ def _trusted() -> list[str]:
     return [name for name in os.environ.get(TRUST_VARIABLE, "").split(",") if name]
 
 
-def is_trusted(reference: str) -> bool:
-    """Returns whether data may name this ``module:name``."""
-    module = reference.partition(":")[0]
-    # with the dot: ``my_package`` must not stand for ``my_package_of_somebody_else``
-    return any(module == name or module.startswith(f"{name}.") for name in _trusted())
-
-
 def _is_working_directory(folder: str) -> bool:
-    """Returns whether an entry of ``sys.path`` is the working directory; "" stands for it."""
+    """Return whether an entry of ``sys.path`` is the working directory; "" stands for it."""
     try:
         return os.path.samefile(folder or ".", ".")
     except OSError:
         return False
 
 
-def _installation() -> tuple[tuple[str, int, int, int], ...]:
-    """Return name, inode, number of links and last change [ns] of the working directory and of the folders of packages.
-
-    As long as this is the same, the same packages are installed.
-    """
-    return tuple(_last_change(folder or ".") for folder in (".", *sys.path))
-
-
 def _last_change(folder: str) -> tuple[str, int, int, int]:
+    """Return name, inode, number of links and last change [ns] of a folder."""
     try:
         state = os.stat(folder)
     except OSError:  # not every entry of sys.path exists
@@ -109,12 +95,12 @@ def _last_change(folder: str) -> tuple[str, int, int, int]:
 
 @lru_cache(maxsize=1)
 def _installed_entries(_installed: tuple[tuple[str, int, int, int], ...]) -> Any:
-    """Reads the entry points of all installed packages, which takes 10 to 20 ms; the result has ``select(group=)``."""
+    """Read the entry points of all installed packages, which takes 10 to 20 ms; the result has ``select(group=)``."""
     return importlib.metadata.entry_points()
 
 
 def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
-    """Returns whether pip left a note with the installed package that its modules are used from where they are written."""
+    """Return whether pip left a note with the installed package that its modules are used from where they are written."""
     note = distribution.read_text("direct_url.json") if distribution is not None else None
     try:
         return bool(json.loads(note or "{}")["dir_info"]["editable"])
@@ -124,7 +110,7 @@ def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
 
 @contextmanager
 def _installed_modules_only() -> Iterator[None]:
-    """Imports find nothing in the working directory."""
+    """Import find nothing in the working directory."""
     kept = list(sys.path)
     sys.path[:] = [folder for folder in kept if not _is_working_directory(folder)]
     try:
@@ -150,7 +136,7 @@ class Plugin:
     """True if the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
 
     def load(self) -> Any:
-        """The object itself; raises whatever importing its module raises."""
+        """Return the object itself; raises whatever importing its module raises."""
         if not isinstance(self.value, str):
             return self.value
         if (
@@ -185,14 +171,14 @@ def _own_groups() -> dict[str, dict[str, str]]:
 
 
 def _is_there(reference: str) -> bool:
-    """Returns whether the package of ``module:name`` is installed; a folder without files (a namespace) does not count."""
+    """Return whether the package of ``module:name`` is installed; a folder without files (a namespace) does not count."""
     spec = importlib.util.find_spec(reference.partition(":")[0].partition(".")[0])
     # a folder that an uninstallation has left behind is found as a namespace, which has no file
     return spec is not None and spec.origin is not None
 
 
 def missing_part(fault: ModuleNotFoundError) -> str:
-    """Name of the package of h3data that an import did not find; empty if it was a module of somebody else."""
+    """Return the name of the package of h3data that an import did not find; empty if it was a module of somebody else."""
     package = (fault.name or "").partition(".")[0]
     return package if package.startswith("h3data_") and not _is_there(package) else ""
 
@@ -219,7 +205,7 @@ def _without(what: str, package: str) -> InputError:
 
 
 def load_reference(reference: str) -> Any:
-    """The object that ``module:name`` refers to; raises whatever importing its module raises."""
+    """Return the object that ``module:name`` refers to; raises whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
 
 
@@ -243,7 +229,7 @@ class Registry(Generic[T]):
         what: str,
         check: Callable[[Any], None] | None = None,
     ) -> None:
-        """Creates a registry; reads no entry points yet.
+        """Create a registry; read no entry points yet.
 
         Args:
             group: the group of entry points, such as ``h3data.tasks``.
@@ -271,7 +257,7 @@ class Registry(Generic[T]):
         return {name: entry for name, entry in (self._table | there).items() if entry.value != ""}
 
     def _load_built_in(self, name: str) -> Any:
-        """An entry of the table, or of a package that comes with this one.
+        """Return an entry of the table, or of a package that comes with this one.
 
         Raises:
             InputError: that package, or another one that it needs, is not there.
@@ -290,11 +276,11 @@ class Registry(Generic[T]):
         raise _without(f"The {self.what} {name!r}", missing)
 
     def names(self) -> tuple[str, ...]:
-        """Names that `get` accepts: built-in ones in the order of their table, then third-party ones from A to Z."""
+        """Return names that `get` accepts: built-in ones in the order of their table, then third-party ones from A to Z."""
         return tuple(entry.name for entry in self.entries())
 
     def entries(self) -> tuple[Plugin, ...]:
-        """All entries without importing them; warns about third-party entries whose names are already taken."""
+        """Return all entries without importing them; warns about third-party entries whose names are already taken."""
         third_party = self._third_party()
         for name, claims in third_party.items():
             if name in self._built_in or len(claims) > 1:
@@ -304,7 +290,7 @@ class Registry(Generic[T]):
         return *self._built_in.values(), *(entry for entry in unique if entry.name not in self._built_in)
 
     def get(self, name: str) -> T:
-        """Returns the object registered as ``name``, or the one that ``module:name`` refers to.
+        """Return the object registered as ``name``, or the one that ``module:name`` refers to.
 
         Raises:
             InputError: nothing is registered under this name.
@@ -321,7 +307,9 @@ class Registry(Generic[T]):
         if REFERENCE.fullmatch(name):
             for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
                 return self._load(entry)  # installed, only named in full
-            if _FROM_DATA.get() and not is_trusted(name):
+            # with the dot: ``my_package`` must not stand for ``my_package_of_somebody_else``
+            module = f"{name.partition(':')[0]}."
+            if _FROM_DATA.get() and not any(module.startswith(f"{known}.") for known in _trusted()):
                 raise UntrustedNameError(self._untrusted(name), code="H3-FILE-014")
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
@@ -342,7 +330,7 @@ class Registry(Generic[T]):
         }
 
     def load_all(self) -> dict[str, T]:
-        """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
+        """Return every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
         loaded: dict[str, T] = {}
         for name in self._built_in:
             with suppress(InputError) if name in self._own else nullcontext():  # a package that it needs is not there
@@ -350,7 +338,7 @@ class Registry(Generic[T]):
         return loaded | self.load_third_party()
 
     def load_third_party(self) -> dict[str, T]:
-        """Returns the objects that installed packages add; warns about those that cannot be loaded."""
+        """Return the objects that installed packages add; warns about those that cannot be loaded."""
         loaded: dict[str, T] = {}
         for entry in self.entries()[len(self._built_in) :]:
             try:
@@ -360,7 +348,7 @@ class Registry(Generic[T]):
         return loaded
 
     def origin(self, name: str) -> str:
-        """The name as error texts give it: with package and entry point, if it comes from a plug-in."""
+        """Return the name as error texts give it: with package and entry point, if it comes from a plug-in."""
         claims = self._third_party().get(name, [])
         return self._origin(claims[0]) if claims and name not in self._built_in else repr(name)
 
@@ -370,7 +358,8 @@ class Registry(Generic[T]):
         They are read again only after a package has been installed or removed, or the working directory has changed: files are
         recognized and metrics found thousands of times in a process.
         """
-        installed = _installation()
+        # as long as these folders are the same, the same packages are installed
+        installed = tuple(_last_change(folder or ".") for folder in (".", *sys.path))
         if self._scanned[0] != installed:
             self._scanned = installed, self._scan(_installed_entries(installed).select(group=self.group))
         return self._scanned[1]
@@ -441,7 +430,7 @@ class Registry(Generic[T]):
 
 
 def own_version() -> str:
-    """The version of this package that pip knows; ``source`` where it is a source tree on PYTHONPATH."""
+    """Return the version of this package that pip knows; ``source`` where it is a source tree on PYTHONPATH."""
     try:
         return importlib.metadata.version("h3data")
     except importlib.metadata.PackageNotFoundError:

@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 from collections.abc import Iterable
+from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from h3data.terminal import printable
@@ -17,29 +18,20 @@ LINE_EVERY_S = 30.0
 """Seconds between two lines off a terminal; shorter work prints none."""
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
-_shown = False
+BEGUN = Event()
+"""Set once this process has shown progress: notices, which would come between its lines, are too late then."""
 
 
 def is_quiet() -> bool:
-    """Returns whether progress and notices are off."""
+    """Return whether progress and notices are off."""
     return os.environ.get(QUIET, "") not in ("", "0")
 
 
 def say(line: str) -> None:
-    """Writes a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
+    """Write a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
-
-
-def has_begun() -> bool:
-    """Returns whether this process has shown progress: notices, which would come between its lines, are too late then."""
-    return _shown
-
-
-def _has_begun() -> None:
-    global _shown
-    _shown = True
 
 
 def progress(
@@ -53,7 +45,7 @@ def progress(
     leave: bool = True,
     at_least: int = 0,
 ) -> tqdm[Any]:
-    """A `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
+    """Return a `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
 
     Args:
         items: Items to iterate over, each counting as one unit; None if ``update`` is called instead.
@@ -80,7 +72,7 @@ def progress(
         "file": sys.stderr,
     }
     if terminal and not silent:
-        _has_begun()
+        BEGUN.set()
     if silent or terminal:
         return tqdm(items, delay=delay, leave=leave, **shared)
     form = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
@@ -93,7 +85,7 @@ def progress(
 
 @functools.cache
 def _lines_bar() -> type[tqdm[Any]]:
-    """A bar that writes lines instead of overwriting one: control characters would fill a log file."""
+    """Return a bar that writes lines instead of overwriting one: control characters would fill a log file."""
     from tqdm import tqdm
 
     class Lines(tqdm):
@@ -110,7 +102,7 @@ def _lines_bar() -> type[tqdm[Any]]:
         def display(self, msg: str | None = None, pos: int | None = None) -> None:
             text = str(self) if msg is None else msg
             if text:
-                _has_begun()
+                BEGUN.set()
                 self.fp.write(text + "\n")
                 self.fp.flush()
 

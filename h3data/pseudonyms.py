@@ -15,11 +15,11 @@ from h3data.errors import InputError
 KEY_VARIABLE = "H3DATA_PARTICIPANT_KEY"
 """Environment variable with the path of the key file, to share one key between machines."""
 SHORTEST_KEY = 16
-"""Bytes of the shortest accepted key."""
+"""Number of bytes of the shortest accepted key."""
 
 
 def anonymous_id(person: str, *, key: bytes) -> str:
-    """Returns the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
+    """Return the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
 
     HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
     whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
@@ -46,7 +46,7 @@ def participant_key_path() -> Path:
 
 
 def participant_key() -> bytes:
-    """Returns the secret key of this user's studies, made at its first use.
+    """Return the secret key of this user's studies, made at its first use.
 
     It lies beside the user's settings, not beside the recordings: whoever gets the data does not get the key.
 
@@ -55,11 +55,13 @@ def participant_key() -> bytes:
     """
     path = participant_key_path()
     try:
-        key = path.read_bytes()
-    except FileNotFoundError:
-        key = _new_key(path)
+        key = path.read_bytes() if path.exists() else _new_key(path)
     except OSError as error:
-        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
+        raise InputError(
+            f"The key that turns user ids into pseudonyms can be neither read nor made ({error.strerror}): {path}. "
+            f"Hint: set {KEY_VARIABLE} to a file that can be written.",
+            code="H3-FILE-020",
+        ) from None
     if len(key) < SHORTEST_KEY:
         raise InputError(
             f"Expected a participant key of {SHORTEST_KEY} or more bytes, got {len(key)}: {path}", code="H3-FILE-019"
@@ -68,26 +70,16 @@ def participant_key() -> bytes:
 
 
 def _new_key(path: Path) -> bytes:
-    """A random key in a file that only its owner reads; that of another process if that one was first."""
+    """Return a random key in a file that only its owner reads; that of another process if that one was first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    # the mode comes with the file: changed later, the key could be read in between
+    part.touch(mode=0o600)
+    part.write_bytes(secrets.token_bytes(32))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.{os.getpid()}")
-        # the mode comes with the file: changed later, the key could be read in between
-        part.touch(mode=0o600)
-        part.write_bytes(secrets.token_bytes(32))
-        try:
-            os.link(part, path)  # unlike a rename it never replaces the key of another process
-        except FileExistsError:
-            pass
-        finally:
-            part.unlink()
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
-
-
-def _unusable(path: Path, error: OSError) -> str:
-    return (
-        f"The key that turns user ids into pseudonyms can be neither read nor made ({error.strerror}): {path}. "
-        f"Hint: set {KEY_VARIABLE} to a file that can be written."
-    )
+        os.link(part, path)  # unlike a rename it never replaces the key of another process
+    except FileExistsError:
+        pass
+    finally:
+        part.unlink()
+    return path.read_bytes()

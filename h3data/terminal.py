@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 
 def printable(text: str) -> str:
-    """The text with control characters written out, such as ``\\x1b``, so that it cannot move a cursor or hide words."""
+    """Return the text with control characters written out, such as ``\\x1b``, so that it cannot move a cursor or hide words."""
     # C0 and C1 control characters except tab and newline, and the overrides of writing direction
     # (CVE-2021-42574)
     control = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -20,6 +20,6 @@ def counted(count: int, noun: str) -> str:
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as text with columns of equal width."""
+    """Return rows of cells as text with columns of equal width."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)

@@ -93,7 +93,7 @@ class Posture(NamedTuple):
     clip: NDArray[np.int64]
     """Index of the motion clip."""
     phase: Array
-    """Place in its cycle, 0..1."""
+    """Place in the cycle of the clip, 0..1."""
     blend: Array
     """Weight of the clip over standing, 0..1."""
     arms: Array
@@ -122,7 +122,7 @@ class World:
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
-        """Creates worlds without a floor; `place` puts the agents into their homes.
+        """Create worlds without a floor; `place` puts the agents into their homes.
 
         Args:
             roster: agents of every world, robots first, then people.
@@ -201,7 +201,7 @@ class World:
         return _PairContacts(self.roster, self.pairs, self._person_contact)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
-        """Puts all agents at rest at their starts, each world on its own floor.
+        """Put all agents at rest at their starts, each world on its own floor.
 
         Args:
             starts: (x, z, heading) of each agent, [n, A, 3].
@@ -228,7 +228,7 @@ class World:
         self.touching[rows] = self._touching(rows)
 
     def rest_at(self, starts: Array, rows: Rows) -> None:
-        """Puts agents of the worlds ``rows`` [n] at rest at their starts ``(x, z, heading)`` [n, A, 3], with empty hands."""
+        """Put agents of the worlds ``rows`` [n] at rest at their starts ``(x, z, heading)`` [n, A, 3], with empty hands."""
         joints = [own.joints.shape[1] for own in self.state.robots]
         fresh = WorldState.zeros(
             len(rows),
@@ -293,7 +293,7 @@ class World:
         self.touching = self._touching(self.rows)
 
     def _move_posed(self, posed: Mapping[int, PoseCommand]) -> None:
-        """Moves people to the places that commands give them, all of them at once: the map does not change where they get."""
+        """Move people to the places that commands give them, all of them at once: the map does not change where they get."""
         every, robots = len(posed) == len(self.state.people), len(self.state.robots)
         rows = np.concatenate([(k - robots) * self.worlds + self.rows for k in posed])
         own = self.people if every else self.people.take(rows)
@@ -323,7 +323,7 @@ class World:
         return np.ascontiguousarray(np.swapaxes(np.concatenate([*(own[None] for own in robots), people]), 0, 1))
 
     def heights(self, xz: Array) -> Array:
-        """Height of the floor at a place (x, z) in each world, [W, 2] -> [W] [m]."""
+        """Return the height of the floor at a place (x, z) in each world, [W, 2] -> [W] [m]."""
         if not self._uneven:
             return self.floor_y
         height = self.floor_y.copy()
@@ -341,7 +341,7 @@ class World:
         return poses
 
     def geodesic(self, a: int, b: int, rows: Rows | None = None) -> Array:
-        """Lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
+        """Return lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
         xz, other = self.state.agents[a].xz, self.state.agents[b].xz
         if rows is None and len(self.groups) == 1:
             return self.groups[0][0].geodesic(xz, other)
@@ -366,7 +366,7 @@ class World:
         return reach
 
     def circles(self, agent: int, *, legs: bool = False) -> Array:
-        """All other agents as circles ``(x, z, radius)`` [W, N, 3] [m].
+        """Return all other agents as circles ``(x, z, radius)`` [W, N, 3] [m].
 
         Robots are the discs of their bases; people are one disc, or with ``legs`` two legs in their posture.
         """
@@ -378,7 +378,7 @@ class World:
         return np.asarray(quat_rotate(quat_conjugate(root[..., 3:]), points - root[..., :3]))
 
     def posture(self, agent: int, rows: Rows) -> Posture:
-        """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
+        """Return a person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
         if agent in self._kept:
             kept = self._kept[agent]
             return Posture(kept.clip[rows], kept.phase[rows], kept.blend[rows], kept.arms[rows], kept.seat[rows])
@@ -455,7 +455,7 @@ class World:
         return np.concatenate(discs, axis=1)
 
     def _driven_on(self, agent: int, free: FreeSpace) -> FreeSpace:
-        """The map on which a robot moves: to one that does not climb, stairs are walls."""
+        """Return the map on which a robot moves: to one that does not climb, stairs are walls."""
         body = self.roster[agent].body
         return free if not free.has_stairs or body.climbs_stairs else free.without_stairs
 
@@ -478,7 +478,7 @@ class World:
 
 @kernel(error_model="numpy")
 def _near_pairs(xz, shares, rows, pairs, gates):
-    """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
+    """Mark the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
 
     Gates are wider where one lies or reaches for something, as ``shares`` [W, A] above 1 say.
     """
@@ -560,7 +560,7 @@ class _PairContacts:
         return result
 
     def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
-        """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
+        """Ask FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
         near_others = near[:, self._others]
         asked = {k: self._others[near_others[k]].tolist() for k in np.flatnonzero(near_others.any(1)).tolist()}
@@ -575,7 +575,10 @@ class _PairContacts:
                 near[k, p] = self._contacts.collides(*self._pairs[p])
 
     def _posed(self, world: World, who: Sequence[tuple[int, int]]) -> dict[tuple[int, int], Array]:
-        """Frames of the shapes of agents, each given by world and number; those with one body and floor are posed together."""
+        """Return frames of the shapes of agents, each given by world and number.
+
+        Those with one body and floor are posed together.
+        """
         uneven = {int(w): free for free, group in world._uneven for w in group}
         alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for w, number in who:
@@ -598,5 +601,5 @@ class _PairContacts:
 
 
 def _recorded(values: Array) -> Array:
-    """Numbers as they are after having been written in float32."""
+    """Return numbers as they are after having been written in float32."""
     return values.astype(np.float32).astype(np.float64)

@@ -65,7 +65,7 @@ def test_kernels_are_not_announced_between_lines_of_progress(monkeypatch: pytest
 
     monkeypatch.delenv(QUIET, raising=False)
     for begun in (False, True):
-        monkeypatch.setattr(progress_module, "_shown", False)
+        progress_module.BEGUN.clear()
         said: list[str] = []
         monkeypatch.setattr(decorators._log, "info", said.append)
         monkeypatch.setattr(decorators._log, "hasHandlers", lambda: True)

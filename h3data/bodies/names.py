@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,13 @@ JOIN, STORED = "+", "motion:"
 ATTACHED = "motion_"
 """Beginning of the name of an attachment that is a walk: ``motion_<digits>.npz``."""
 
-_READERS: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
 _files: dict[str, bytes] = {}
 
 
 # The name may be a key: stored motions are named by their contents, so what a name means never changes.
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """Loads a person by name, once; later calls return the same object.
+    """Load a person by name, once; later calls return the same object.
 
     Args:
         name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz`` file.
@@ -49,7 +48,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def split_walk(model: str) -> tuple[str, str]:
-    """The body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
+    """Return the body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
     # the name of a file may hold a plus itself
     if JOIN not in model or Path(model).exists():
         return model, ""
@@ -68,7 +67,7 @@ def stored_name(model: str) -> str:
 
 
 def keep_walk(data: bytes) -> str:
-    """Makes a walk known to this process, from the contents of its file; returns its name."""
+    """Make a walk known to this process, from the contents of its file; return its name."""
     digits = 16
     name = STORED + hashlib.sha256(data).hexdigest()[:digits]
     # one copy, whichever of several recordings with this walk came first
@@ -77,7 +76,7 @@ def keep_walk(data: bytes) -> str:
 
 
 def keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Makes the walks among a recording's attachments known to this process."""
+    """Make the walks among a recording's attachments known to this process."""
     for name, data in attachments.items():
         if name.startswith(ATTACHED):
             keep_walk(bytes(data))
@@ -98,7 +97,7 @@ def walk_facts(models: Iterable[str]) -> dict[str, Any]:
 
 
 def walk_file(path: str) -> bytes:
-    """The contents of the file that keeps the walk in a motion file.
+    """Return the contents of the file that keeps the walk in a motion file.
 
     Raises:
         InputError: there is no such file, or nobody walks in it.
@@ -107,12 +106,14 @@ def walk_file(path: str) -> bytes:
     return _reader().walk_file(path)
 
 
+@cache
 def _reader() -> Any:
-    return _READERS.get("motion")
+    readers: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
+    return readers.get("motion")
 
 
 def _stored(motion: str) -> str:
-    """The name by which recordings know a motion, which is a stored name or the path of a file."""
+    """Return the name by which recordings know a motion, which is a stored name or the path of a file."""
     return motion if motion.startswith(STORED) else keep_walk(walk_file(motion))
 
 

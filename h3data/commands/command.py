@@ -115,11 +115,11 @@ class Command(Protocol):
 
     @property
     def json(self) -> bool:
-        """Returns whether the command prints its result as JSON instead of text."""
+        """Return whether the command prints its result as JSON instead of text."""
         ...
 
     def run(self) -> Outcome:
-        """Runs the command and returns its result, which the command line prints."""
+        """Run the command and return its result, which the command line prints."""
         ...
 
 
@@ -132,7 +132,7 @@ class Group:
 
 
 def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str) -> P:
-    """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
+    """Create an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
 
     ``unfinished`` returns what ``--resume`` could continue in the existing contents; an empty text means nothing.
     """
@@ -164,7 +164,7 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """The path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
+    """Return the path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
@@ -188,7 +188,7 @@ def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
 
 
 def _try_writing(folder: Path, asked: Path) -> None:
-    """Refuses a folder in which no file can be made, before work is done for what was asked for."""
+    """Refuse a folder in which no file can be made, before work is done for what was asked for."""
     try:
         # a file, not os.access: a full disk, a quota or a network folder may refuse what its mode allows
         with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
@@ -200,7 +200,7 @@ def _try_writing(folder: Path, asked: Path) -> None:
 
 
 def open_episode(path: AnyPath) -> Recording:
-    """The recording in an .mcap file, or one episode of a dataset, written as ``ds#3``."""
+    """Return the recording in an .mcap file, or one episode of a dataset, written as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
 
     opened = open_recording(path)
@@ -222,7 +222,7 @@ def recording_stem(path: Path) -> str:
 
 
 def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
-    """Lines of text that list the assets of a replay that were not found."""
+    """Return lines of text that list the assets of a replay that were not found."""
     if not replay.missing:
         return []
     names = sorted(replay.missing)
@@ -263,7 +263,7 @@ def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any],
 
 
 def check_backend(backend: BackendOption) -> None:
-    """Raises an InputError where there is no GPU for ``gpu``."""
+    """Raise an InputError where there is no GPU for ``gpu``."""
     if backend != "cpu":
         from h3data.replay.stage import chosen_backend
 
@@ -271,7 +271,7 @@ def check_backend(backend: BackendOption) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a small file, which appears under its name when it is complete."""
+    """Write a small file, which appears under its name when it is complete."""
     with part_file(path) as part:
         part.write_text(text, encoding="utf-8")
 

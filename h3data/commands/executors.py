@@ -12,12 +12,6 @@ from h3data.commands.shards import Executor
 from h3data.errors import InputError, did_you_mean
 from h3data.plugins import Registry
 
-EXECUTORS: Registry[Callable[[str, int], AbstractContextManager[Executor]]] = Registry(
-    "h3data.executors", {}, what="executor"
-)
-"""Functions that open an executor, given what follows ``://`` in its name (with the name; empty where nothing does) and the
-workers."""
-
 ExecutorOption = Annotated[
     str,
     tyro.conf.arg(
@@ -45,11 +39,14 @@ def check_workers(executor: str, workers: int | None) -> None:
 
 
 def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:
-    """The executor of that name, for a ``with`` statement.
+    """Return the executor of that name, for a ``with`` statement.
 
     Raises:
         InputError: there is no such executor, or no cluster at its address.
         MissingExtraError: Ray is not installed.
     """
     check_workers(executor, workers)
-    return EXECUTORS.get(executor.partition("://")[0])(executor if "://" in executor else "", workers)
+    # each is a function of its name and address, empty where there is no address, and of the number of workers
+    executors: Registry[Callable[[str, int], AbstractContextManager[Executor]]]
+    executors = Registry("h3data.executors", {}, what="executor")
+    return executors.get(executor.partition("://")[0])(executor if "://" in executor else "", workers)

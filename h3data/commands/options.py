@@ -116,13 +116,13 @@ class Option:
 
 
 def annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
-    """The type with markers."""
+    """Return the type with markers."""
     return Annotated[(kind, *metadata)] if metadata else kind
 
 
 @functools.cache
 def options_of(command: type[Command]) -> tuple[Option, ...]:
-    """The options of a command, in the order of its fields."""
+    """Return the options of a command, in the order of its fields."""
     hints = get_type_hints(command, include_extras=True)
     return tuple(
         _option(
@@ -136,7 +136,7 @@ def options_of(command: type[Command]) -> tuple[Option, ...]:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def command_of(function: Callable[..., Any]) -> Callable[[type[T]], type[T]]:
-    """Makes the command that a function of `h3data` is called by on the command line: names and defaults are the function's.
+    """Make the command that a function of `h3data` is called by on the command line: names and defaults are the function's.
 
     The class says what the command line needs beside: types of single words, help, and options such as ``--json`` that only
     it has. Its fields have no defaults of their own where the function has the parameter.
@@ -188,7 +188,7 @@ def _option(name: str, annotation: Any, *, required: bool) -> Option:
 
 
 def split_list(text: str) -> list[str]:
-    """The values in a text with commas between; commas within brackets and quotes belong to a value."""
+    """Return the values in a text with commas between; commas within brackets and quotes belong to a value."""
     parts, depth, quoted = [""], 0, False
     for character in text:
         # values may be JSON: --set near_m=[2.0,1.5]
@@ -202,13 +202,13 @@ def split_list(text: str) -> list[str]:
 
 
 def known_tasks(command: type[Command]) -> tuple[str, ...]:
-    """The names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
+    """Return names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
     marks = (mark for o in options_of(command) if o.field == "task" for mark in o.metadata if isinstance(mark, NameOf))
     return tuple(name for mark in marks for name in mark.names())
 
 
 def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
-    """Refuses options of other tasks. ``given`` are the fields that are set.
+    """Refuse options of other tasks. ``given`` are the fields that are set.
 
     Raises:
         InputError: one of them is of other tasks.
@@ -244,7 +244,7 @@ def python_value(option: Option, value: Any) -> Any:
 
 
 def _one(option: Option, value: Any) -> Any:
-    """One value: a class or function by ``module:name``, a robot by its file, text instead of a path."""
+    """Return one value: a class or function by ``module:name``, a robot by its file, text instead of a path."""
     if get_origin(option.kind) is Literal:
         choices = get_args(option.kind)
         if value not in choices:
@@ -262,7 +262,7 @@ def _one(option: Option, value: Any) -> Any:
 
 
 def _name_of(thing: Any) -> Any:
-    """The text by which a command knows an object; itself if there is none."""
+    """Return the text by which a command knows an object; itself if there is none."""
     if isinstance(thing, os.PathLike):
         return os.fspath(thing)
     if isinstance(thing, type) or inspect.isfunction(thing):

@@ -41,7 +41,7 @@ class Executor(Protocol):
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Yields the result of ``work`` for each shard, in their order. An error that it raises ends the job.
+        """Yield the result of ``work`` for each shard, in their order. An error that it raises ends the job.
 
         Args:
             work: A function of a module, or a `functools.partial` of one.

@@ -30,7 +30,7 @@ REPLAY_MEMBERS = frozenset(
 
 
 def _is_replay(members: Mapping[str, Any], name: str) -> bool:
-    """Returns whether there are keyframes, and they hold something of a gfx-replay's or nothing at all."""
+    """Return whether there are keyframes, and they hold something of a gfx-replay's or nothing at all."""
     keyframes = members.get("keyframes", [members["keyframe"]] if "keyframe" in members else None)
     if not isinstance(keyframes, list):
         return False
@@ -46,12 +46,12 @@ def _is_scene_dataset(members: Mapping[str, Any], name: str) -> bool:
 
 
 def _has(*keys: str) -> Callable[[Mapping[str, Any], str], bool]:
-    """Returns whether all of ``keys`` are there."""
+    """Return whether all of ``keys`` are there."""
     return lambda members, name: members.keys() >= {*keys}
 
 
 def _config(infix: str, *keys: str) -> Callable[[Mapping[str, Any], str], bool]:
-    """Returns whether the file is named as a config of Habitat is, or has one of ``keys``."""
+    """Return whether the file is named as a config of Habitat is, or has one of ``keys``."""
     return lambda members, name: f".{infix}." in name or not members.keys().isdisjoint(keys)
 
 

@@ -40,7 +40,7 @@ FORMATS: Registry[Format] = Registry(
 
 
 def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
-    """Imports the function that reads or writes a format.
+    """Import the function that reads or writes a format.
 
     Raises:
         PluginError: it cannot be imported.
@@ -62,7 +62,7 @@ def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
 
 # --- detection --------------------------------------------------------------------------------------------------------
 def detect(path: str | os.PathLike[str]) -> Format:
-    """The format of a file, from its content; gzip is unpacked. A file name only decides between kinds of config.
+    """Return the format of a file, from its content; gzip is unpacked. A file name only decides between kinds of config.
 
     Of a gfx-replay as habitat-sim writes it only the beginning is read. NaN and Infinity, which are not JSON, are accepted:
     a file that cannot be read still has a format. Third-party formats are asked where no built-in reader fits.
@@ -86,12 +86,12 @@ def detect(path: str | os.PathLike[str]) -> Format:
 
 
 def format_by_beginning(head: bytes) -> Format:
-    """The built-in format of a file that begins with ``head``; `JSON` where its members must be asked."""
+    """Return the built-in format of a file that begins with ``head``; `JSON` where its members must be asked."""
     return _registered(_by_beginning(head))
 
 
 def _registered(recognised: Format) -> Format:
-    """The format of this name with its reader, writer and advice; without its package, advice to install it."""
+    """Return the format of this name with its reader, writer and advice; without its package, advice to install it."""
     if recognised not in (*BUILT_IN, *TABLES):
         return recognised
     package = FORMATS.missing().get(recognised.name)
@@ -119,14 +119,14 @@ def _by_beginning(head: bytes) -> Format:
 
 
 def json_format(document: Any, *, name: str = "") -> Format:
-    """The built-in format of a decoded JSON document from a file called ``name``."""
+    """Return the built-in format of a decoded JSON document from a file called ``name``."""
     if not isinstance(document, dict):
         return JSON
     return next((one for one in BUILT_IN if one.members is not None and one.members(document, name)), JSON)
 
 
 def _members(file: SourceFile) -> Any:
-    """Returns the values that `Format.members` reads; None if the file is not JSON. Other values are not decoded."""
+    """Return the values that `Format.members` reads; None if the file is not JSON. Other values are not decoded."""
     try:
         members = decode_json(file.data, dict[str, msgspec.Raw])
         # only whether a value is an object decides, except for keyframes: a file may have hundreds of MB

@@ -107,13 +107,13 @@ class ExportRequest:
     storage: BagStorage = "mcap"
     """File format of the messages in a bag."""
     lidar: int = 0
-    """Rays of a lidar that is cast into the scene for each robot; 0 for none."""
+    """Number of rays of a lidar that is cast into the scene for each robot; 0 for none."""
     stored_cameras: Sequence[str] = ()
     """Cameras of which all recordings have a video in the dataset that they come from."""
     stored_videos: Callable[[int], Sequence[Any]] = lambda number: ()
     """The `h3data.recording.parquet.videos.EpisodeVideo` records of a recording, by its number, in that dataset."""
     threads: int = 1
-    """Threads for rendering."""
+    """Number of threads for rendering."""
     backend: Any = "cpu"
     """Back end that renders, a `h3data.replay.stage.FrameBackend`."""
     progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items

@@ -119,7 +119,7 @@ def _unpacked(raw: BinaryIO, path: Path, size: int) -> Iterator[bytes]:
 
 
 def decode_json(data: bytes, kind: Any = Any) -> Any:
-    """The JSON document as ``kind``; every fault is a `msgspec.DecodeError`. A byte order mark is skipped."""
+    """Return the JSON document as ``kind``; every fault is a `msgspec.DecodeError`. A byte order mark is skipped."""
     try:
         return msgspec.json.decode(data.removeprefix(BYTE_ORDER_MARK), type=kind)
     # brackets a hundred thousand deep fit into a small file

@@ -32,7 +32,7 @@ class _BorrowingLowering(_PartLowering):
 
 
 def _check(state: Any) -> None:
-    """Refuses a part that returns an array, which would be freed while in use, or makes or is given one, which never would."""
+    """Refuse a part that returns an array, which would be freed while in use, or makes or is given one, which never would."""
 
     def holds_arrays(kind: types.Type) -> bool:
         return state.targetctx.data_model_manager[kind].contains_nrt_meminfo()
@@ -60,7 +60,7 @@ class BorrowingCompiler(PartCompiler):
     """`PartCompiler` with `_BorrowingLowering`."""
 
     def define_pipelines(self) -> list[Any]:
-        """The pipelines of parts, with `_BorrowingLowering` in place of `_PartLowering`."""
+        """Return the pipelines of parts, with `_BorrowingLowering` in place of `_PartLowering`."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             pipeline.passes[:] = [
@@ -74,5 +74,5 @@ class BorrowingCompiler(PartCompiler):
 
 @functools.cache
 def borrowing_type(dispatcher_type: type) -> type:
-    """The class of parts that borrow: its name is in the digest of their code (`h3data.kernels.digests`)."""
+    """Return the class of parts that borrow: its name is in the digest of their code (`h3data.kernels.digests`)."""
     return type("BorrowingPart", (part_type(dispatcher_type),), {})

@@ -34,7 +34,7 @@ from h3data.kernels import shipped
 from h3data.kernels.borrowing import BorrowingCompiler, borrowing_type
 from h3data.kernels.digests import source_digest
 from h3data.kernels.parts import PartCompiler, part_type
-from h3data.progress import has_begun, is_quiet
+from h3data.progress import BEGUN, is_quiet
 
 try:
     import fcntl
@@ -101,12 +101,12 @@ def kernel_part(*, borrows: bool = False, **options: Any) -> Callable[[Callable[
 
 # --- compiling ------------------------------------------------------------------------------------------------------
 def compiled_count() -> int:
-    """Number of kernels that this process has compiled itself."""
+    """Return the number of kernels that this process has compiled itself."""
     return sum(sum(kernel.stats.cache_misses.values()) for kernel in _kernels)
 
 
 def compiled_files() -> dict[str, int]:
-    """Size [bytes] of each file of machine code, one for each type of arguments, of the kernels imported so far."""
+    """Return the size [bytes] of each file of machine code, one for each type of arguments, of the kernels imported so far."""
     files = [kernel._cache._cache_file for kernel in _kernels if hasattr(kernel._cache, "_cache_file")]
     paths = [Path(file._data_path(name)) for file in files for name in _index_of(file).values()]
     return {str(path): path.stat().st_size for path in paths}
@@ -142,7 +142,7 @@ def _compile_here(dispatcher: Any, signature: Any) -> None:
 
 
 def _index_of(file: Any) -> dict[Any, str]:
-    """Returns numba's index of a kernel; deletes it and returns an empty one if it names modules that have been renamed since.
+    """Return numba's index of a kernel; deletes it and returns an empty one if it names modules that have been renamed since.
 
     numba unpickles the types of arguments before it compares the time of the source, and would raise an ImportError.
     """
@@ -156,7 +156,7 @@ def _index_of(file: Any) -> dict[Any, str]:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Waits for other processes that hold the lock file ``path``; it is released even when this process is killed."""
+    """Wait for other processes that hold the lock file ``path``; it is released even when this process is killed."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("ab")
@@ -175,7 +175,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _garbage_kept() -> Iterator[None]:
-    """Pauses the garbage collector: numba allocates millions of objects, and scanning them takes a sixth of its time."""
+    """Pause the garbage collector: numba allocates millions of objects, and scanning them takes a sixth of its time."""
     paused = gc.isenabled()
     gc.disable()
     try:
@@ -187,11 +187,11 @@ def _garbage_kept() -> Iterator[None]:
 
 @functools.cache
 def _announce() -> None:
-    """Says on stderr, or in the log if there is one, that compiling takes a while: once for a process and its workers.
+    """Say on stderr, or in the log if there is one, that compiling takes a while: once for a process and its workers.
 
     Between lines of progress it would only puzzle.
     """
-    if is_quiet() or has_begun() or not _log.isEnabledFor(logging.INFO):
+    if is_quiet() or BEGUN.is_set() or not _log.isEnabledFor(logging.INFO):
         return
     parent = parent_process()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as announcer:

@@ -37,7 +37,7 @@ OURS = (
 # --- files --------------------------------------------------------------------------------------------------------------
 @functools.cache
 def _source(module: str) -> tuple[str, tuple[str, ...]]:
-    """Digest of a module's source, and the names of our modules that it imports."""
+    """Return the digest of a module's source, and the names of our modules that it imports."""
     path = getattr(sys.modules.get(module), "__file__", None)
     if path is None:
         return "", ()
@@ -49,7 +49,7 @@ def _source(module: str) -> tuple[str, tuple[str, ...]]:
 
 
 def source_digest(module: str) -> str:
-    """Digest of the sources of a module and of all our modules that it imports, directly or indirectly."""
+    """Return the digest of the sources of a module and of all our modules that it imports, directly or indirectly."""
     digests: dict[str, str] = {}
     waiting = [module]
     while waiting:
@@ -66,7 +66,7 @@ class UnknownError(Exception):
 
 
 def code_digest(kernel: Any) -> str:
-    """Digest of everything that determines the machine code of a kernel (a numba dispatcher).
+    """Return the digest of everything that determines the machine code of a kernel (a numba dispatcher).
 
     It covers the byte code, constants, options and intrinsics of the kernel and of all functions that it calls. It is
     the same in all processes of one version of Python; line numbers, comments and docstrings do not count.
@@ -86,7 +86,7 @@ def code_digest(kernel: Any) -> str:
 
 
 def types_digest(kinds: Iterable[types.Type]) -> str:
-    """Digest of the numba types of a kernel's arguments, with the field names of tuples, by which kernels read them.
+    """Return the digest of the numba types of a kernel's arguments, with the field names of tuples, by which kernels read them.
 
     Raises:
         UnknownError: a type of a kind that is not known here.
@@ -95,7 +95,7 @@ def types_digest(kinds: Iterable[types.Type]) -> str:
 
 
 def _function(function: Any) -> tuple[str, list[Any]]:
-    """Returns the content of one compiled function as text, and the compiled functions that it names."""
+    """Return the content of one compiled function as text, and the compiled functions that it names."""
     python = function.py_func
     values = {name: python.__globals__[name] for name in _names(python.__code__) if name in python.__globals__}
     cells = (cell.cell_contents for cell in python.__closure__ or ())
@@ -131,7 +131,7 @@ def _code(code: CodeType, doc: str | None = None) -> str:
 
 
 def _value(value: Any) -> str:
-    """A global or closure variable that a kernel reads."""
+    """Return a global or closure variable that a kernel reads."""
     if isinstance(value, Dispatcher):  # its text is part of the digest
         return f"{value.py_func.__module__}.{value.py_func.__qualname__}"
     if isinstance(value, _Intrinsic):  # emits LLVM code by means of whatever its file has

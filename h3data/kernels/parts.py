@@ -79,7 +79,7 @@ class PartCompiler(Compiler):
 
 @functools.cache
 def part_type(dispatcher_type: type) -> type:
-    """The class of parts: a dispatcher that Python cannot call."""
+    """Return the class of parts: a dispatcher that Python cannot call."""
 
     def refuse(self: Any, *_: Any, **__: Any) -> None:
         raise TypeError(

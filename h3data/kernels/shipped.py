@@ -63,18 +63,18 @@ _loaded: dict[str, int] = {}
 
 
 def loaded_files() -> dict[str, int]:
-    """Size [bytes] of each shipped file whose machine code this process has loaded."""
+    """Return the size [bytes] of each shipped file whose machine code this process has loaded."""
     return dict(_loaded)
 
 
 def folder_name() -> str:
-    """Name of the folder for this Python, numba, system and processor."""
+    """Return the name of the folder for this Python, numba, system and processor."""
     machine = LEVEL if platform.machine() == "x86_64" else platform.machine()
     return f"{sys.implementation.cache_tag}-numba{numba.__version__}-{sys.platform}-{machine}"
 
 
 def folder() -> Path | None:
-    """The folder of kernels that fit this machine; None if there are none."""
+    """Return the folder of kernels that fit this machine; None if there are none."""
     found = _found()
     return found if isinstance(found, Path) else None
 
@@ -87,7 +87,7 @@ def missing() -> str:
 
 @functools.cache
 def _found() -> Path | str:
-    """The folder, or why there is none."""
+    """Return the folder, or why there is none."""
     # these do not change what is compiled
     harmless = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS"}
     settings = {name for name in os.environ if name.startswith("NUMBA_")} - harmless
@@ -137,7 +137,7 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
 
 
 def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
-    """Keeps what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
+    """Keep what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
     if RECORD not in os.environ or dispatcher.py_func.__module__.split(".")[0] not in OURS:
         return
     name = file_name(dispatcher, kinds)
@@ -153,7 +153,7 @@ def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
 
 
 def _without_paths(payload: Sequence[Any]) -> bytes:
-    """The pickle of what numba keeps of a kernel, without the annotated source and without names of folders.
+    """Return the pickle of what numba keeps of a kernel, without the annotated source and without names of folders.
 
     Files are named for tracebacks of exceptions; their folders become ``h3data///`` and ``numba///`` of the same lengths.
     """
@@ -173,7 +173,7 @@ def _recorded(name: str) -> Path:
 
 
 def file_name(dispatcher: Any, kinds: Sequence[types.Type]) -> str | None:
-    """Name of the file for a kernel and the types of its arguments; None if no digest can cover what it reads."""
+    """Return the name of the file for a kernel and the types of its arguments; None if no digest can cover what it reads."""
     try:
         code, arguments = code_stamp(dispatcher), types_digest(kinds)
     except UnknownError:
@@ -182,7 +182,7 @@ def file_name(dispatcher: Any, kinds: Sequence[types.Type]) -> str | None:
 
 
 def code_stamp(dispatcher: Any) -> str:
-    """The part of a file's name that changes when the code of a kernel does: its name and a digest."""
+    """Return the part of a file's name that changes when the code of a kernel does: its name and a digest."""
     # raise the 1 when machine code changes for a reason that the digests do not see
     digest = hashlib.sha256(f"1 {_compiler_digest()} {code_digest(dispatcher)}".encode()).hexdigest()
     return f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}-{digest[:16]}"
@@ -190,5 +190,5 @@ def code_stamp(dispatcher: Any) -> str:
 
 @functools.cache
 def _compiler_digest() -> str:
-    """Digest of how we compile."""
+    """Return the digest of how we compile."""
     return hashlib.sha256(Path(__file__).with_name("parts.py").read_bytes()).hexdigest()

@@ -35,7 +35,7 @@ def intrinsic(function: Callable[..., Any]) -> Any:
 
 
 class Mask:
-    """Eight booleans."""
+    """Vector of eight truth values, as a comparison of two vectors gives."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -50,7 +50,7 @@ class Mask:
         return Mask(self.builder, self.builder.not_(self.value))
 
     def bits(self, shift: int) -> Any:
-        """The eight booleans as bits ``shift`` to ``shift + 7`` of an int32."""
+        """Return the eight booleans as bits ``shift`` to ``shift + 7`` of an int32."""
         b = self.builder
         return b.shl(b.zext(b.bitcast(self.value, ir.IntType(LANES)), INT), ir.Constant(INT, shift))
 
@@ -89,7 +89,7 @@ class Vec:
         return self._binary("fdiv", other)
 
     def compare(self, operator: str, other: Vec | float) -> Mask:
-        """Mask of the components for which a comparison such as ``<`` holds; false for NaN."""
+        """Return the mask of the components for which a comparison such as ``<`` holds; false for NaN."""
         return Mask(self.builder, self.builder.fcmp_ordered(operator, self.value, self._lift(other)))
 
     def minimum(self, other: Vec | float) -> Vec:
@@ -101,7 +101,7 @@ class Vec:
         return self.where(self.compare(">", other), other)
 
     def where(self, mask: Mask, other: Vec | float) -> Vec:
-        """The vector where a mask holds, and other components elsewhere."""
+        """Return the vector where a mask holds, and other components elsewhere."""
         return Vec(self.builder, self.builder.select(mask.value, self.value, self._lift(other)))
 
     def unary(self, name: str) -> Vec:
@@ -120,25 +120,25 @@ def fma(x: Vec, y: Vec | float, z: Vec | float) -> Vec:
 
 
 def lanes(builder: Any) -> Vec:
-    """The lane indices 0 to 7."""
+    """Return the lane indices 0 to 7."""
     return Vec(builder, ir.Constant(FLOAT8, [float(k) for k in range(LANES)]))
 
 
 def splat(builder: Any, scalar: Any, vector_type: Any = FLOAT8) -> Any:
-    """A scalar broadcast to all eight lanes."""
+    """Return a scalar broadcast to all eight lanes."""
     undefined = ir.Constant(vector_type, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(INT, 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(INT8, [0] * LANES))
 
 
 def spread(builder: Any, address: Any, word: int, kind: Any = FLOAT8) -> Vec:
-    """The number ``word`` of the array at ``address`` in all eight lanes."""
+    """Return the number ``word`` of the array at ``address`` in all eight lanes."""
     size = 4 if kind == FLOAT8 else 8
     return Vec(builder, splat(builder, load(builder, address, size * word, kind.element), kind))
 
 
 def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any:
-    """The value at ``address + offset`` bytes."""
+    """Return the value at ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), kind.as_pointer())
     value = builder.load(pointer)
     # rows of 8 begin at any float, not only at multiples of 32 bytes, which LLVM would otherwise take for granted
@@ -155,7 +155,7 @@ def fetch(builder: Any, address: Any) -> None:
 
 
 def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
-    """Writes a value to ``address + offset`` bytes."""
+    """Write a value to ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), value.type.as_pointer())
     builder.store(value, pointer).align = 4
 
@@ -178,7 +178,7 @@ def pick(builder: Any, low: Any, high: Any, order: Sequence[int]) -> Any:
 
 
 def gather(builder: Any, address: Any, index: Any) -> Any:
-    """The float32 number ``index[lane]`` of the array at ``address``, per lane.
+    """Return the float32 number ``index[lane]`` of the array at ``address``, per lane.
 
     Eight scalar loads measured no slower than the machine's gather instruction.
     """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -16,21 +16,23 @@ from numpy.typing import NDArray
 from h3data.plugins import Registry
 
 MESHOPT = "EXT_meshopt_compression"
-CODECS: Registry[Callable[..., NDArray[np.uint8]]] = Registry("h3data.gltf_codecs", {}, what="codec of glTF files")
-"""Decoders of compressed buffer views, by the extension that describes them."""
 
 
 @dataclass(frozen=True)
 class GltfArrays:
     """The accessors and buffer views of one document."""
 
+    codecs: ClassVar[Registry[Callable[..., NDArray[np.uint8]]]] = Registry(
+        "h3data.gltf_codecs", {}, what="codec of glTF files"
+    )
+    """Decoders of compressed buffer views, by the extension that describes them."""
     document: dict[str, Any]
     buffer: Callable[[int], bytes | memoryview]
     """Returns all bytes of a buffer by index; may raise `ValueError`."""
     _unpacked: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def accessor(self, index: object) -> NDArray[Any]:
-        """The elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
+        """Return the elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
         record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
         widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
         if record.get("type") not in widths:
@@ -49,7 +51,7 @@ class GltfArrays:
         return array[:, 0] if width == 1 else array
 
     def floats(self, index: object) -> NDArray[Any]:
-        """The elements as float32; normalised integers become 0..1 or -1..1."""
+        """Return the elements as float32; normalised integers become 0..1 or -1..1."""
         array = self.accessor(index)
         if array.dtype.kind == "f" or not entry(self.document, "accessors", index).get("normalized"):
             return array.astype(np.float32, copy=False)
@@ -57,7 +59,7 @@ class GltfArrays:
         return np.maximum(array.astype(np.float32) / np.iinfo(array.dtype).max, np.float32(-1))
 
     def view(self, index: object) -> memoryview:
-        """The bytes of a buffer view."""
+        """Return the bytes of a buffer view."""
         record, where = entry(self.document, "bufferViews", index), f"bufferViews[{index}]"
         packed = record.get("extensions")
         if isinstance(packed, dict) and MESHOPT in packed:
@@ -69,13 +71,13 @@ class GltfArrays:
         return self._bytes(record, where)
 
     def _unpack(self, packed: Any, where: str) -> memoryview:
-        """Decompresses a buffer view; ``packed`` is its entry for the extension ``EXT_meshopt_compression``."""
+        """Decompress a buffer view; ``packed`` is its entry for the extension ``EXT_meshopt_compression``."""
         if not isinstance(packed, dict):
             raise ValueError(f"{where} is not an object")
         count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)
         data, mode = self._bytes(packed, where), str(packed.get("mode"))
         try:
-            unpacked = CODECS.get(MESHOPT)(
+            unpacked = self.codecs.get(MESHOPT)(
                 data, mode=mode, filter=str(packed.get("filter", "NONE")), count=count, stride=stride
             )
         except ValueError as fault:
@@ -129,7 +131,7 @@ class GltfArrays:
 
 
 def entry(document: dict[str, Any], key: str, index: object) -> dict[str, Any]:
-    """The object ``document[key][index]``."""
+    """Return the object ``document[key][index]``."""
     items = document.get(key, [])
     if not isinstance(items, list) or not isinstance(index, int) or not 0 <= index < len(items):
         count = len(items) if isinstance(items, list) else "no"
@@ -140,7 +142,7 @@ def entry(document: dict[str, Any], key: str, index: object) -> dict[str, Any]:
 
 
 def natural(record: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
-    """The non-negative integer ``record[key]``."""
+    """Return the non-negative integer ``record[key]``."""
     value = record.get(key, default)
     # Python counts True as an integer, JSON does not
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:

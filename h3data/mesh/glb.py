@@ -35,7 +35,7 @@ class GlbChunk:
         self.accessors: list[dict[str, Any]] = []
 
     def view(self, data: bytes, **more: Any) -> int:
-        """Appends bytes; returns the index of their view."""
+        """Append bytes; return the index of their view."""
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **more})
         # glTF wants views to begin at multiples of the size of their components, which is 4 at most
         padded = data + bytes(-len(data) % 4)
@@ -44,7 +44,7 @@ class GlbChunk:
         return len(self.views) - 1
 
     def array(self, values: NDArray[Any], kind: str, component: int, target: int | None = None, **more: Any) -> int:
-        """Appends an array as one accessor (``kind`` such as ``VEC3``); returns its index."""
+        """Append an array as one accessor (``kind`` such as ``VEC3``); return its index."""
         view = self.view(values.tobytes(), **({} if target is None else {"target": target}))
         self.accessors.append(
             {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
@@ -52,22 +52,22 @@ class GlbChunk:
         return len(self.accessors) - 1
 
     def vectors(self, values: NDArray[Any], *, limits: bool = False) -> int:
-        """Appends float32 vectors per vertex, shape [V, 2..4]; returns their accessor. glTF wants ``limits`` of positions."""
+        """Append float32 vectors per vertex, shape [V, 2..4]; return their accessor. glTF wants ``limits`` of positions."""
         values = values.astype("<f4")
         more = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if limits else {}
         return self.array(values, f"VEC{values.shape[1]}", FLOAT32, VERTICES, **more)
 
     def triangles(self, faces: NDArray[Any], component: int = UINT32) -> int:
-        """Appends vertex indices of triangles; returns their accessor."""
+        """Append vertex indices of triangles; return their accessor."""
         kind = {UINT16: "<u2", UINT32: "<u4"}[component]
         return self.array(faces.astype(kind).ravel(), "SCALAR", component, INDICES)
 
     def image(self, pixels: NDArray[np.uint8], name: str, *, gray: bool) -> dict[str, Any]:
-        """Appends texels [H, W, 4] as PNG; returns the image's record."""
+        """Append texels [H, W, 4] as PNG; return the image's record."""
         return {"bufferView": self.view(png_bytes(pixels, gray=gray)), "mimeType": "image/png", "name": name}
 
     def part(self, index: int, start: int, count: int) -> int:
-        """Appends an accessor to some elements of another one, which holds 32-bit scalars; returns its index."""
+        """Append an accessor to some elements of another one, which holds 32-bit scalars; return its index."""
         self.accessors.append({**self.accessors[index], "byteOffset": 4 * start, "count": count})
         return len(self.accessors) - 1
 
@@ -83,7 +83,7 @@ class GlbChunk:
 def gltf_document(
     scene: Mapping[str, Any], *, about: Mapping[str, Any] | None = None, **members: Any
 ) -> dict[str, Any]:
-    """A glTF document of one scene; ``about`` becomes ``asset.extras``."""
+    """Return a glTF document of one scene; ``about`` becomes ``asset.extras``."""
     asset = {"version": "2.0", "generator": "h3data", **({} if about is None else {"extras": about})}
     return {"asset": asset, "scene": 0, "scenes": [scene], **members}
 
@@ -95,7 +95,7 @@ def placement(pose: Array, scale: Array) -> dict[str, Any]:
 
 
 def matte(texture: int | None = None, **more: Any) -> dict[str, Any]:
-    """A material's ``pbrMetallicRoughness`` without gloss, with a base colour texture if one is given."""
+    """Return a material's ``pbrMetallicRoughness`` without gloss, with a base colour texture if one is given."""
     base = {} if texture is None else {"baseColorTexture": {"index": texture}}
     return {**base, "metallicFactor": 0.0, "roughnessFactor": 1.0, **more}
 
@@ -106,7 +106,7 @@ def cutout(pixels: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
-    """The bytes of a GLB; ``document`` already holds the chunk's views and accessors.
+    """Return the bytes of a GLB; ``document`` already holds the chunk's views and accessors.
 
     Raises:
         TypeError, ValueError: the document is not plain JSON, or has numbers that are not finite.

@@ -69,7 +69,7 @@ class GltfFile:
         return self._buffers[index]
 
     def _resource(self, uri: Any) -> bytes:
-        """Content of a ``data:`` uri, or of a file in the folder of this one or below; never of one outside."""
+        """Return the content of a ``data:`` uri, or of a file in the folder of this one or below; never of one outside."""
         if not isinstance(uri, str) or not uri:
             raise SceneError("it has neither a bufferView nor a uri", code="H3-MESH-012")
         if uri.startswith("data:"):
@@ -217,7 +217,7 @@ class GltfFile:
 
     # --- skins --------------------------------------------------------------------------------------------------------
     def skin(self, index: object) -> tuple[list[int], NDArray[np.float64]]:
-        """Joints of ``skins[index]``, as indices of nodes, and their inverse bind matrices [J, 4, 4]."""
+        """Return joints of ``skins[index]``, as indices of nodes, and their inverse bind matrices [J, 4, 4]."""
         record, where = entry(self.document, "skins", index), f"skins[{index}]"
         joints = record.get("joints")
         if not isinstance(joints, list) or not joints:
@@ -235,7 +235,7 @@ class GltfFile:
         return {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
 
     def _world(self, index: int) -> NDArray[np.float64]:
-        """Matrix [4, 4] of any node, in the scene or not."""
+        """Return the matrix [4, 4] of any node, in the scene or not."""
         matrix, seen = np.eye(4), set()
         at: int | None = index
         while at is not None:
@@ -247,7 +247,7 @@ class GltfFile:
         return matrix
 
     def _posed(self, part: PlainMesh, matrix: NDArray[np.float64], skin: object) -> PlainMesh:
-        """A skinned primitive in the file's frame; vertices without weights stay with its node (``matrix``)."""
+        """Return a skinned primitive in the file's frame; vertices without weights stay with its node (``matrix``)."""
         assert part.influences is not None
         joints, inverse_bind = self.skin(skin)
         which, weights = part.influences
@@ -281,7 +281,7 @@ def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _check_extensions(required: Any, path: Path) -> None:
-    """Refuses required extensions that are not known, by name; warns of those that only paint."""
+    """Refuse required extensions that are not known, by name; warns of those that only paint."""
     if not isinstance(required, list):
         raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
     # extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers.
@@ -318,7 +318,7 @@ def _check_extensions(required: Any, path: Path) -> None:
 
 
 def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:
-    """Matrix [4, 4] of a node in its parent's frame."""
+    """Return the matrix [4, 4] of a node in its parent's frame."""
     # stored by columns
     if "matrix" in node:
         return _numbers(node, "matrix", 16, where).reshape(4, 4).T

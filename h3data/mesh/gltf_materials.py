@@ -44,7 +44,7 @@ class GltfMaterials:
         self._warned = False
 
     def look(self, index: object) -> Look:
-        """The look of ``materials[index]``."""
+        """Return the look of ``materials[index]``."""
         record = entry(self._document, "materials", index)
         assert isinstance(index, int)
         if index not in self._looks:
@@ -98,7 +98,7 @@ class GltfMaterials:
         return None
 
     def _sources(self, info: dict[str, Any]) -> list[int]:
-        """Images that hold a texture, the plain one first."""
+        """Return images that hold a texture, the plain one first."""
         texture = entry(self._document, "textures", info.get("index"))
         extensions = texture.get("extensions", {})
         kinds = ("EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_ktx")
@@ -106,7 +106,7 @@ class GltfMaterials:
         return [r["source"] for r in records if "source" in r]
 
     def _image(self, index: int) -> bytes | memoryview:
-        """The encoded bytes of ``images[index]``."""
+        """Return the encoded bytes of ``images[index]``."""
         if index not in self._images:
             record = entry(self._document, "images", index)
             if "bufferView" in record:
@@ -116,7 +116,7 @@ class GltfMaterials:
         return self._images[index]
 
     def _largest_side(self) -> int:
-        """Largest side [px] of images, chosen so that all base colour textures fit into memory."""
+        """Return the largest side [px] of images, chosen so that all base colour textures fit into memory."""
         if self._side is None:
             # of base colours alone: normal maps and the like are never decoded
             wanted = set()
@@ -144,7 +144,7 @@ def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str,
 
 
 def _uv_transform(moved: dict[str, Any], where: str) -> NDArray[np.float64] | None:
-    """Matrix [2, 3] of KHR_texture_transform: scale, rotate counter-clockwise as seen on the image, translate."""
+    """Return the matrix [2, 3] of KHR_texture_transform: scale, rotate counter-clockwise as seen on the image, translate."""
     if not {"offset", "rotation", "scale"} & set(moved):
         return None
     offset = np.array(moved.get("offset", (0, 0)), np.float64)

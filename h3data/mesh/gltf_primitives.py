@@ -64,7 +64,7 @@ def read_primitive(
     *,
     weights: Sequence[float] = (),
 ) -> PlainMesh:
-    """Reads the triangles of ``primitive``, found at ``where`` in the document, its morph targets added by ``weights``.
+    """Read the triangles of ``primitive``, found at ``where`` in the document, its morph targets added by ``weights``.
 
     Raises:
         ValueError: the primitive is not valid glTF; the message names the key.
@@ -150,7 +150,7 @@ def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) ->
 
 
 def _compact(faces: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int32]]:
-    """The vertices in use, and the faces between them. Takes time linear in the larger of the two."""
+    """Return the vertices in use, and the faces between them. Takes time linear in the larger of the two."""
     if faces.size * 4 < count:  # a small part of a large accessor that primitives share
         used, faces = np.unique(faces, return_inverse=True)
         return used, faces.reshape(-1, 3).astype(np.int32)
@@ -201,7 +201,10 @@ def _painted(
 def _see_through(
     faces: NDArray[np.int32], color: NDArray[Any] | None, look: Look, count: int
 ) -> tuple[Texture | None, NDArray[Any] | None]:
-    """A white texture with its coordinates [V, 2] where colours alone make triangles see-through; None where none are."""
+    """Return a white texture with its coordinates [V, 2] where colours alone make triangles see-through.
+
+    The result is None where colours make no triangle see-through.
+    """
     alpha = np.full(count, look.opacity)
     if color is not None and color.shape[1] == 4:
         alpha = alpha * np.nan_to_num(color[:, 3].astype(np.float64)).clip(0, 1)
@@ -217,7 +220,7 @@ def _see_through(
 
 @lru_cache(maxsize=1)
 def _white_ramp() -> Texture:
-    """A row of white texels of all opacities: a texture without any solid texel would be drawn as a solid one."""
+    """Return a row of white texels of all opacities: a texture without any solid texel would be drawn as a solid one."""
     pixels = np.full((1, 256, 4), 255, np.uint8)
     pixels[0, :, 3] = np.arange(256)
     return Texture(pixels=pixels)

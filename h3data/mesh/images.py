@@ -43,7 +43,7 @@ def image_size(data: bytes | memoryview) -> tuple[int, int]:
 
 
 def largest_side(sizes: list[tuple[int, int]]) -> int:
-    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into `MAX_FILE_PX`."""
+    """Return the largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into `MAX_FILE_PX`."""
     side = MAX_SIDE_PX
     while side > 1 and sum(np.prod(reduced_size(w, h, side), dtype=np.int64) for w, h in sizes) > MAX_FILE_PX:
         side //= 2
@@ -51,7 +51,7 @@ def largest_side(sizes: list[tuple[int, int]]) -> int:
 
 
 def reduced_size(width: int, height: int, side: int) -> tuple[int, int]:
-    """Size of an image divided by the least power of two that makes it fit into ``side``."""
+    """Return the size of an image divided by the least power of two that makes it fit into ``side``."""
     divisor = 1
     while max(width, height) > side * divisor:
         divisor *= 2
@@ -67,7 +67,7 @@ def image_texture(
     cutoff: float = 0.5,
     opacity: float = 1.0,
 ) -> Texture:
-    """Decodes an image, reduced to fit into ``side`` x ``side``; equal content gives the same object.
+    """Decode an image, reduced to fit into ``side`` x ``side``; equal content gives the same object.
 
     The opacity of every texel is first multiplied by ``opacity``. ``OPAQUE`` then makes all texels opaque; ``MASK`` makes
     those opaque that reach ``cutoff``, and all others clear.
@@ -87,7 +87,7 @@ def image_texture(
 
 
 def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) -> Texture:
-    """The opaque texture of an open Pillow image; see `image_texture`."""
+    """Return the opaque texture of an open Pillow image; see `image_texture`."""
     _acceptable(*picture.size)
     pixels = reduced(_pixels(picture, side), side)
     key = (hashlib.sha256(pixels.tobytes()).digest(), pixels.shape, "picture")
@@ -129,7 +129,7 @@ def _acceptable(width: int, height: int) -> tuple[int, int]:
 
 
 def _opened(data: bytes | memoryview) -> Any:
-    """The image opened by Pillow: its size is known, its texels are not decoded yet."""
+    """Return the image opened by Pillow: its size is known, its texels are not decoded yet."""
     from PIL import Image
 
     try:

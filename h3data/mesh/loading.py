@@ -35,7 +35,7 @@ def load_mesh(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> Mesh:
-    """Loads the triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
+    """Load the triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
     (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Collada files say their unit and ``up_axis`` themselves; they
@@ -58,7 +58,8 @@ def load_mesh(
     path = Path(path)
     if not is_file(path):
         raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}", code="H3-MESH-022")
-    if not _is_gltf(path) and path.suffix.lower()[1:] not in (*READERS.names(), *READERS.missing()):
+    suffix = path.suffix.lower()
+    if suffix not in _GLTF_SUFFIXES and suffix[1:] not in (*READERS.names(), *READERS.missing()):
         readable = ", ".join((*_GLTF_SUFFIXES, *(f".{name}" for name in READERS.names())))
         raise SceneError(
             f"Cannot read a mesh of type {path.suffix!r}. Expected one of {readable}: {path}", code="H3-MESH-023"
@@ -68,7 +69,7 @@ def load_mesh(
 
 
 def is_file(path: Path) -> bool:
-    """Returns whether a file exists; False also for recorded paths that are too long for the file system."""
+    """Return whether a file exists; False also for recorded paths that are too long for the file system."""
     try:
         return path.is_file()
     except OSError:
@@ -76,7 +77,7 @@ def is_file(path: Path) -> bool:
 
 
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
-    """Rotation [3, 3] from a file's frame to ours: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
+    """Return the rotation [3, 3] from a file's frame to ours: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
@@ -93,10 +94,6 @@ def _vector3(value: Sequence[float]) -> Vector3:
     return (x, y, z)
 
 
-def _is_gltf(path: Path) -> bool:
-    return path.suffix.lower() in _GLTF_SUFFIXES
-
-
 def load_parts(
     path: str | Path,
     *,
@@ -104,11 +101,11 @@ def load_parts(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> list[Mesh]:
-    """Loads the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raises as `load_mesh` does."""
+    """Load the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raises as `load_mesh` does."""
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m
-    reader = None if _is_gltf(path) else READERS.get(path.suffix.lower()[1:])
+    reader = None if path.suffix.lower() in _GLTF_SUFFIXES else READERS.get(path.suffix.lower()[1:])
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such values are refused below
             if reader is None:
@@ -138,7 +135,7 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
 
 
 def unreadable(fault: Exception, path: Path) -> SceneError:
-    """The error for a file whose reader failed with ``fault``."""
+    """Return the error for a file whose reader failed with ``fault``."""
     # a message that already names the file is whole
     if str(path) in str(fault):
         return SceneError(str(fault), code=fault.code if isinstance(fault, H3DataError) else "")
@@ -150,7 +147,7 @@ def unreadable(fault: Exception, path: Path) -> SceneError:
 
 
 def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
-    """A part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
+    """Return a part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
     linear, faces = matrix[:3, :3], part.faces
     mirrored = np.linalg.det(linear) < 0
     # a mirror turns the order of corners round, by which the outside is known

@@ -13,7 +13,7 @@ from h3data.mesh.mesh import Mesh, Texture
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Joins meshes (at least one) into one. Normals survive only if every part has them; textures always do."""
+    """Join meshes (at least one) into one. Normals survive only if every part has them; textures always do."""
     if len(meshes) == 1:
         return meshes[0]
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
@@ -64,13 +64,13 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def painted(mesh: Mesh, color: Sequence[int]) -> Mesh:
-    """The mesh in one sRGB colour 0..255, without its textures."""
+    """Return the mesh in one sRGB colour 0..255, without its textures."""
     colors = np.broadcast_to(np.asarray(color, np.uint8), mesh.vertices.shape).copy()
     return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
 
 
 def moved(mesh: Mesh, matrix: Array, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Mesh:
-    """The mesh scaled along its own axes and then moved by a rigid matrix [4, 4]."""
+    """Return the mesh scaled along its own axes and then moved by a rigid matrix [4, 4]."""
     stretch = np.asarray(scale, np.float64)
     rotation = matrix[:3, :3]
     normals = mesh.normals

@@ -12,7 +12,7 @@ MAX_PX = 1 << 26
 
 
 def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
-    """The PNG of texels [H, W, 4]; the same texels give the same bytes. Raises `ValueError` above `MAX_PX`.
+    """Return the PNG of texels [H, W, 4]; the same texels give the same bytes. Raises `ValueError` above `MAX_PX`.
 
     Without ``gray``, grey images keep three channels too: some programs show a single channel as red.
     """
@@ -31,7 +31,7 @@ def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
 
 
 def png_pixels(data: bytes | memoryview) -> NDArray[np.uint8]:
-    """The texels [H, W, 4] of a PNG. Raises `ValueError` if it is no PNG, damaged, or larger than `MAX_PX`."""
+    """Return the texels [H, W, 4] of a PNG. Raises `ValueError` if it is no PNG, damaged, or larger than `MAX_PX`."""
     from PIL import Image
 
     try:

@@ -18,13 +18,13 @@ _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wi
 
 
 def is_primitive(name: str) -> bool:
-    """Returns whether a recorded asset name is one of Magnum's primitives, not a file."""
+    """Return whether a recorded asset name is one of Magnum's primitives, not a file."""
     return _NAME.match(name) is not None
 
 
 @lru_cache(maxsize=256)
 def primitive_mesh(name: str) -> Mesh:
-    """The primitive that habitat-sim shows under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
+    """Return the primitive that habitat-sim shows under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
 
     All have radius (or half edge) 1 and the y axis as their axis; ``halfLen`` is half the length of the straight part.
     Segments start at +Z, as Magnum's do. Wireframes are lines: they become a mesh without triangles.
@@ -63,7 +63,7 @@ def primitive_mesh(name: str) -> Mesh:
 
 
 def box_mesh(half_extents: ArrayLike, *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR) -> Mesh:
-    """An axis-aligned box, shaded flat."""
+    """Return an axis-aligned box, shaded flat."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
@@ -71,7 +71,7 @@ def box_mesh(half_extents: ArrayLike, *, center: ArrayLike = (0, 0, 0), color: S
 
 
 def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequence[int] = DEFAULT_COLOR) -> Mesh:
-    """A capsule around the line segment from ``start`` to ``end``, with 12 segments."""
+    """Return a capsule around the line segment from ``start`` to ``end``, with 12 segments."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length if length > 0 else np.array([0.0, 1.0, 0.0])
@@ -92,7 +92,7 @@ def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequ
 def round_mesh(
     radius: float, length: float, color: tuple[int, int, int], *, caps: bool, segments: int = 20, rings: int = 6
 ) -> Mesh:
-    """A capsule (``caps``) or a cylinder along z, centred at the origin, smooth; a capsule of length 0 is a sphere."""
+    """Return a capsule (``caps``) or a cylinder along z, centred at the origin, smooth; a capsule of length 0 is a sphere."""
     half = length / 2
     if caps:
         angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * rings)
@@ -137,7 +137,7 @@ def _mesh(
 
 
 def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], segments: int, *, smooth: bool) -> Mesh:
-    """A profile (bottom to top) revolved about the y axis; ``smooth`` adds the normals of a sphere-ended profile."""
+    """Return a profile (bottom to top) revolved about the y axis; ``smooth`` adds the normals of a sphere-ended profile."""
     angle = np.arange(segments) * 2 * np.pi / segments
     circle = np.stack([np.sin(angle), np.zeros(segments), np.cos(angle)], -1)
     ring = radii[:, None, None] * circle + heights[:, None, None] * np.array([0, 1.0, 0])

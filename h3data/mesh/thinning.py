@@ -21,7 +21,7 @@ class ThinMesh:
 
 
 def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
-    """Thins a mesh to at most ``max_vertices`` vertices: one per occupied cell of a grid, whose size is bisected.
+    """Thin a mesh to at most ``max_vertices`` vertices: one per occupied cell of a grid, whose size is bisected.
 
     A mesh that is small enough is kept whole. The kept vertices are original ones rather than cell averages, so a
     skinned mesh thinned in its rest pose is valid in every pose.
@@ -47,7 +47,7 @@ def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
 
 
 def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np.int64]:
-    """Index of each vertex's grid cell among the occupied cells, shape [V]."""
+    """Return the index of each vertex's grid cell among the occupied cells, shape [V]."""
     cell = np.floor((mesh.vertices - origin) / size).astype(np.int64)
     # 20 bits for each axis in one key of 64
     cell = np.minimum(cell, (1 << 20) - 1)

@@ -74,7 +74,7 @@ def measure_files(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> MetricsTable:
-    """Returns the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
+    """Return the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
 
     Episodes that are damaged, or lack agents or data that every metric needs, are listed in `MetricsTable.left_out`.
 
@@ -140,7 +140,7 @@ def measure_sources(
 
 
 def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
-    """The episodes of datasets and logs in parts of about a second, in order."""
+    """Return the episodes of datasets and logs in parts of about a second, in order."""
     job = uuid.uuid4().hex
     parts: list[Part] = []
     for source in sources:
@@ -154,7 +154,7 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
-    """The results of `measure_sources` for a part, in a form that can be sent."""
+    """Return the results of `measure_sources` for a part, in a form that can be sent."""
     if part.episodes is None:
         results = _attempts([(str(part.source), read_log(part.source))], profile)
     else:
@@ -220,7 +220,7 @@ def _measured(
 
 
 def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
-    """Names of the episodes by the reason why they are left out."""
+    """Return names of the episodes by the reason why they are left out."""
     reasons: dict[str, tuple[str, ...]] = {}
     for episode in left_out:
         reasons[episode.reason] = (*reasons.get(episode.reason, ()), episode.name)
@@ -230,7 +230,7 @@ def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
 def _attempts(
     episodes: Iterable[tuple[str, Recording | FormatError]], profile: str | None
 ) -> list[EpisodeMetrics | LeftOut]:
-    """The metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
+    """Return metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
     chosen = [
         (
             name,
@@ -287,7 +287,7 @@ class _PerThread:
 def _in_order(
     jobs: Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]], *, workers: int
 ) -> Iterator[EpisodeMetrics | LeftOut]:
-    """Yields results in the order of the jobs; a few more jobs than workers are under way at any time."""
+    """Yield results in the order of the jobs; a few more jobs than workers are under way at any time."""
     if workers == 1:
         for job in jobs:
             yield from job()

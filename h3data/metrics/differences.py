@@ -48,7 +48,7 @@ class Differences:
         return [(self.episode_ids[k], float(a[k]), float(b[k])) for k in order]
 
     def to_text(self) -> str:
-        """A table of the metrics, followed by the episodes that changed most."""
+        """Return a table of the metrics, followed by the episodes that changed most."""
         lines = [["metric", *self.names, "difference", "95% interval", "p", "changed"]]
         for name, test in self.tests.items():
             interval = "" if np.isnan(test.low) else f"[{test.low:+.3f}, {test.high:+.3f}]"
@@ -68,7 +68,7 @@ class Differences:
         return [f"{', '.join(names)}: {note}" for note, names in by_note.items()]
 
     def to_dict(self) -> dict[str, Any]:
-        """The comparison as JSON types; undefined numbers are None."""
+        """Return the comparison as JSON types; undefined numbers are None."""
         return {
             "profile": self.profile,
             "runs": list(self.names),
@@ -99,7 +99,7 @@ class Differences:
 
 
 def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[str, str] = ("A", "B")) -> Differences:
-    """Pairs the episodes of two runs by `pairing_names`; p values are adjusted for all metrics together (Holm).
+    """Pair the episodes of two runs by `pairing_names`; p values are adjusted for all metrics together (Holm).
 
     Raises:
         InputError: the runs hold different episodes or profiles, or a name means two episodes; the message names them.
@@ -112,14 +112,14 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
     for name, ids in zip(names, (ours, theirs), strict=True):
         if repeated := _repeated(ids):
             raise InputError(
-                f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.",
+                f"Episode ids of {name} are not unique, so they cannot be paired: {some_of([*map(repr, repeated)])}.",
                 code="H3-METRIC-008",
             )
     missing = [i for i in ours if i not in set(theirs)]
     extra = [i for i in theirs if i not in set(ours)]
     if missing or extra:
         parts = [
-            f"only {name} has {len(ids)}: {_quoted(ids)}"
+            f"only {name} has {len(ids)}: {some_of([*map(repr, ids)])}"
             for name, ids in zip(names, (missing, extra), strict=True)
             if ids
         ]
@@ -149,7 +149,7 @@ def compare_runs(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> dict[str, PairedComparison]:
-    """Compares every metric (or ``metrics``) of two tables over the same episodes; p values are adjusted together."""
+    """Compare every metric (or ``metrics``) of two tables over the same episodes; p values are adjusted together."""
     if first.profile != second.profile:
         raise InputError(
             f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.", code="H3-METRIC-006"
@@ -184,7 +184,7 @@ def compare_runs(
 
 
 def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names that identify the same episode in two runs, one name per row of each table.
+    """Return names that identify the same episode in two runs, one name per row of each table.
 
     They are the episodes' ids. Where ids repeat, as in evaluations of a robot with several partners, the partner is
     added (``3 with both``); where these repeat too, the policy as well (``3 complement with both``).
@@ -207,10 +207,6 @@ def _with_partners(table: MetricsTable, *, policies: bool = False) -> tuple[str,
 
 def _repeated(names: Sequence[str]) -> list[str]:
     return [name for name, times in Counter(names).items() if times > 1]
-
-
-def _quoted(names: list[str]) -> str:
-    return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
 
 
 def _number(value: float, spec: str = ".3f") -> str:

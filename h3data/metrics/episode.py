@@ -56,7 +56,7 @@ class EpisodeMetrics:
     policy: str = ""
     """``info:policy``: the policy of the robot."""
     partner: str = ""
-    """Policy of the person, ``info:partner``; for a shared recording, one of those who share it (`for_each_partner`)."""
+    """Policy of the person, ``info:partner``; of a recording that several partners share, one of them (`for_each_partner`)."""
     max_steps: int = 0
     """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
 
@@ -81,7 +81,7 @@ class EpisodeMetrics:
         return self.to_text()
 
     def to_text(self) -> str:
-        """An aligned table with a line per metric, followed by the notes."""
+        """Return an aligned table with a line per metric, followed by the notes."""
         by_text: dict[str, list[str]] = {}
         for name, text in self.notes.items():
             by_text.setdefault(text, []).append(name)
@@ -90,7 +90,7 @@ class EpisodeMetrics:
         return "\n".join([aligned(self.to_rows()), *lines])
 
     def to_rows(self) -> list[list[str]]:
-        """The cells of the table, its head first, then a row per metric."""
+        """Return the cells of the table, its head first, then a row per metric."""
         rows = [["metric", "value", "unit", "", "what"]]
         for metric in self.metrics:
             value = self.values[metric.name]
@@ -100,7 +100,7 @@ class EpisodeMetrics:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """The measurement as JSON types; NaN and infinities become None."""
+        """Return the measurement as JSON types; NaN and infinities become None."""
         return {
             "episode_id": self.episode_id,
             "uid": self.uid,
@@ -124,7 +124,10 @@ class EpisodeMetrics:
 
 
 def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """A sentence on recordings of one profile that do not say their task, and what else measures them; empty without any."""
+    """Return a sentence on recordings of one profile that do not say their task, and what else measures them.
+
+    The text is empty without such recordings.
+    """
     tasks = [episode.task for episode in episodes if episode.task_is_assumed]
     if not tasks:
         return ""
@@ -170,7 +173,7 @@ class Notes:
     lines: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, names: Iterable[str], text: str) -> None:
-        """Adds ``text`` to each of these metrics."""
+        """Add ``text`` to each of these metrics."""
         for name in names:
             self.lines.setdefault(name, []).append(text)
 
@@ -180,6 +183,6 @@ class Notes:
 
 
 def first_moments(series: Mapping[str, NDArray[Any]], flags: Iterable[str]) -> dict[str, int]:
-    """Returns the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
+    """Return the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
     # asked first whether any row holds: of none, argmax is row 0
     return {name: int(np.argmax(series[name])) for name in flags if name in series and series[name].any()}

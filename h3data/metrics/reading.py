@@ -17,7 +17,7 @@ _CHUNK, _CHUNK_ROWS = 128, 50_000
 
 
 def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
-    """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
+    """Yield the recordings of datasets and log, from datasets with no more than the profile reads.
 
     Args:
         sources: Sources found by `find_sources`.
@@ -33,7 +33,7 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
 
 
 def only(source: AnyPath) -> Recording:
-    """Returns the recording in a file that is not a dataset."""
+    """Return the recording in a file that is not a dataset."""
     opened = open_recording(source)
     if isinstance(opened, Dataset):
         raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}", code="H3-METRIC-022")
@@ -81,7 +81,7 @@ def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
 
 
 def _stored(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
-    """Episodes of a dataset with no more than the profile reads of them."""
+    """Return episodes of a dataset with no more than the profile reads of them."""
     declared = [c.name for c in dataset.schema.columns]
     # the schema has columns for as many agents as any episode of the dataset
     agents = sum(name.endswith(".base_pose") for name in declared)

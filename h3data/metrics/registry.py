@@ -50,7 +50,7 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
 
 @functools.cache  # entry points are files: looking them up again for each of 10,000 episodes would take a minute
 def profiles_named(name: str) -> tuple[Profile, ...]:
-    """Returns the profiles that a name or ``module:name`` stands for, one per task.
+    """Return the profiles that a name or ``module:name`` stands for, one per task.
 
     Raises:
         InputError: nothing has this name; the message lists the names.
@@ -61,7 +61,7 @@ def profiles_named(name: str) -> tuple[Profile, ...]:
 
 
 def all_profiles() -> tuple[Profile, ...]:
-    """Returns every profile that has a name: built-in ones first, then those of installed packages."""
+    """Return every profile that has a name: built-in ones first, then those of installed packages."""
     return tuple(
         profile
         for loaded in PROFILES.load_all().values()
@@ -70,7 +70,7 @@ def all_profiles() -> tuple[Profile, ...]:
 
 
 def find_profile(name: str, task: str | None = None) -> Profile:
-    """Returns the profile with a name that measures recordings of a task; without a task, the first one with the name.
+    """Return the profile with a name that measures recordings of a task; without a task, the first one with the name.
 
     Raises:
         InputError: nothing has this name, or it does not measure the task; the message lists the profiles that do.
@@ -86,7 +86,7 @@ def find_profile(name: str, task: str | None = None) -> Profile:
 
 
 def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> Profile:
-    """Returns the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its task.
+    """Return the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its task.
 
     A task that no profile names gets the profile ``task``. ``info["profile"]`` may be ``module:name`` of a
     module that the user has trusted (`h3data.plugins.trust`, ``--trust``).
@@ -118,12 +118,12 @@ def _profile_naming(task: str) -> Profile:
 
 
 def metrics_of(profile: str, task: str | None = None) -> tuple[Metric, ...]:
-    """Returns all metrics of a profile for a task; None: for its first one."""
+    """Return all metrics of a profile for a task; None: for its first one."""
     return find_profile(profile, task).metrics
 
 
 def find_metric(name: str, *, profile: str | None = None) -> Metric:
-    """Returns the metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
+    """Return the metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
 
     A short name that several profiles have is that of ``profile``, else of the first profile that has it.
     """
@@ -144,12 +144,12 @@ def find_metric(name: str, *, profile: str | None = None) -> Metric:
 
 
 def all_metrics() -> list[Metric]:
-    """Returns every metric of every profile that has a name."""
+    """Return every metric of every profile that has a name."""
     return [metric for profile in all_profiles() for metric in profile.metrics]
 
 
 def measure(recording: Recording, profile: str | None = None) -> EpisodeMetrics:
-    """Measures one recording by a profile, by default that of its task. Reads columns only, never a simulator.
+    """Measure one recording by a profile, by default that of its task. Reads columns only, never a simulator.
 
     Raises:
         InputError: no such profile, or it does not measure the recording's task.
@@ -159,5 +159,5 @@ def measure(recording: Recording, profile: str | None = None) -> EpisodeMetrics:
 
 
 def series_of(recording: Recording, profile: str | None = None) -> Series:
-    """Returns the per-row quantities and flags [T] behind the metrics of a profile, by name."""
+    """Return the per-row quantities and flags [T] behind the metrics of a profile, by name."""
     return profile_for(recording.episode.task, recording.episode.info, profile).series(recording)

@@ -26,7 +26,7 @@ class PublishedRow:
     """Published values with unseen partners (zero-shot coordination)."""
 
     def with_partners(self, population: str) -> Mapping[str, tuple[float, ...]]:
-        """Returns the values with the partners of a population: ``train``, ``zsc``, or empty for all partners."""
+        """Return the values with the partners of a population: ``train``, ``zsc``, or empty for all partners."""
         return {"train": self.train, "zsc": self.zsc}.get(population, self.values)
 
 
@@ -41,7 +41,7 @@ class PublishedTable:
     rows: tuple[PublishedRow, ...]
 
     def row_of(self, policy: str) -> PublishedRow | None:
-        """Returns the row about a policy, None if there is none."""
+        """Return the row about a policy, None if there is none."""
         return next((row for row in self.rows if policy.lower() in row.policies), None)
 
 

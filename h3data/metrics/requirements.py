@@ -38,7 +38,7 @@ class MissingColumnsError(UnmeasurableError):
 
 
 def require_whole(recording: Recording) -> None:
-    """Refuses an episode of a LeRobot export (`h3data_exporters.lerobot`).
+    """Refuse an episode of a LeRobot export (`h3data_exporters.lerobot`).
 
     Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
 
@@ -55,7 +55,7 @@ def require_whole(recording: Recording) -> None:
 
 
 def find_agents(recording: Recording) -> tuple[int, int]:
-    """Returns the indices of the first robot and the first human; an `UnmeasurableError` names the agents instead."""
+    """Return the indices of the first robot and the first human; an `UnmeasurableError` names the agents instead."""
     agents = recording.agents
     chosen = [next((i for i, a in enumerate(agents) if a.kind == kind), None) for kind in ("robot", "human")]
     robot, human = chosen
@@ -73,12 +73,12 @@ def find_agents(recording: Recording) -> tuple[int, int]:
 
 
 def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
-    """Returns the entries of ``metric.columns`` that a recording lacks."""
+    """Return the entries of ``metric.columns`` that a recording lacks."""
     return tuple(entry for entry in metric.columns if not any(_has(recording, name) for name in entry.split(OR)))
 
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
-    """Returns the names of the metrics that lack something, each with a note; a `MissingColumnsError` if all do."""
+    """Return the names of the metrics that lack something, each with a note; a `MissingColumnsError` if all do."""
     needs = {m.name: missing for m in metrics if (missing := missing_columns(m, recording))}
     if len(needs) == len(metrics):
         raise MissingColumnsError(recording.episode.episode_id, needs)
@@ -88,7 +88,7 @@ def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) 
 
 
 def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
-    """Returns the names of the columns that these metrics may read in recordings of up to ``agents`` agents."""
+    """Return the names of the columns that these metrics may read in recordings of up to ``agents`` agents."""
     names: dict[str, None] = {}
     for metric in metrics:
         for name in (alternative for entry in (*metric.columns, *metric.optional) for alternative in entry.split(OR)):

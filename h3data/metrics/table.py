@@ -30,7 +30,7 @@ class Summary:
     high: float
     """Upper end of the interval; NaN if there are too few episodes."""
     count: int
-    """Episodes with a value."""
+    """Number of episodes with a value."""
     episodes: int
     """All episodes, with and without a value."""
     method: Literal["bootstrap", "wilson"]
@@ -65,7 +65,7 @@ class MetricsTable:
         return self.to_text()
 
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
-        """Returns mean and interval of each metric, see `summarize`."""
+        """Return mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)
         # 10,000 resamples of each metric: a report asks for the same summary many times
         if key not in self._summaries:
@@ -76,7 +76,7 @@ class MetricsTable:
         return dict(self._summaries[key])
 
     def notes(self) -> dict[str, dict[str, int]]:
-        """Counts the episodes that carry each note, by metric name."""
+        """Count the episodes that carry each note, by metric name."""
         counted: dict[str, dict[str, int]] = {}
         for episode in self.episodes:
             for name, text in episode.notes.items():
@@ -85,13 +85,13 @@ class MetricsTable:
         return counted
 
     def to_text(self, *, confidence: float = 0.95) -> str:
-        """An aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
+        """Return an aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
         deviations = (e.protocol_deviations for e in self.episodes)
         lines = [*self._assumed_lines(), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()]
         return "\n".join([aligned(self.to_rows(confidence=confidence)), *lines])
 
     def to_rows(self, *, confidence: float = 0.95) -> list[list[str]]:
-        """The cells of the table, its head first, then a row per metric."""
+        """Return the cells of the table, its head first, then a row per metric."""
         records = {m.name: m for m in self.metrics}
         lines = [["metric", "mean", f"{100 * confidence:g}% interval", "unit", "episodes", "", "what"]]
         for name, s in self.summary(confidence=confidence).items():
@@ -183,7 +183,7 @@ def summarize_all(
 
 
 def measure_many(recordings: Iterable[Recording], profile: str | None = None) -> MetricsTable:
-    """Measures every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
+    """Measure every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
     measured = (
         each
         for recording in recordings
@@ -198,7 +198,7 @@ def tabulate(
     profile: str | None = None,
     left_out: Mapping[str, tuple[str, ...]] | None = None,
 ) -> MetricsTable:
-    """Returns the table of episodes that were measured elsewhere, such as by several workers.
+    """Return the table of episodes that were measured elsewhere, such as by several workers.
 
     ``profile`` names the metrics of a table without episodes (default: ``paper``), ``left_out`` has the names of episodes
     that could not be measured, by the reason.
@@ -221,7 +221,7 @@ def tabulate(
 
 
 def legend(metrics: Iterable[Metric]) -> str:
-    """One line that spells out the names of metrics, such as ``S: finding success; CR: collision rate.``."""
+    """Return one line that spells out the names of metrics, such as ``S: finding success; CR: collision rate.``."""
     return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
 
 

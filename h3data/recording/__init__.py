@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from h3data.moved import refuse_renamed
+from h3data.moved import lazy_names
 from h3data.recording.records import (
     SCHEMA_VERSION,
     STEP_NS,
@@ -31,24 +30,6 @@ if TYPE_CHECKING:
     from h3data.recording.parquet.lerobot import rebuild_meta
     from h3data.recording.parquet.writer import DatasetWriter
     from h3data.recording.steps import Steps
-
-_HOMES = {
-    "recordings_equal": "compare",
-    "state_hash": "compare",
-    "Dataset": "parquet.dataset",
-    "DatasetWriter": "parquet.writer",
-    "rebuild_meta": "parquet.lerobot",
-    "RecordingWriter": "mcap.writer",
-    "pack_mcap": "mcap.writer",
-    "write_mcap": "mcap.writer",
-    "Recovery": "mcap.recover",
-    "read_mcap": "mcap.read",
-    "recover_mcap": "mcap.recover",
-    "open_recording": "opening",
-    "Episodes": "episodes",
-    "Steps": "steps",
-    "open_steps": "opening",
-}
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -79,8 +60,23 @@ __all__ = [
     "write_mcap",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        return refuse_renamed(__name__)(name)
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "recordings_equal": ".compare",
+        "state_hash": ".compare",
+        "Dataset": ".parquet.dataset",
+        "DatasetWriter": ".parquet.writer",
+        "rebuild_meta": ".parquet.lerobot",
+        "RecordingWriter": ".mcap.writer",
+        "pack_mcap": ".mcap.writer",
+        "write_mcap": ".mcap.writer",
+        "Recovery": ".mcap.recover",
+        "read_mcap": ".mcap.read",
+        "recover_mcap": ".mcap.recover",
+        "open_recording": ".opening",
+        "Episodes": ".episodes",
+        "Steps": ".steps",
+        "open_steps": ".opening",
+    },
+)

@@ -15,15 +15,20 @@ from h3data.recording.schema import episode_to_dict, layout_of, struct_to_dict, 
 
 
 def recordings_equal(a: Recording, b: Recording) -> list[str]:
-    """Differences, one line each; empty if equal bit for bit. Any NaN equals any NaN; the order of columns does not count."""
+    """Return the differences of two recordings, one line each; no lines if they are equal bit for bit.
+
+    Any NaN equals any NaN, and the order of columns does not count.
+    """
     differences = _dict_differences("episode", _episode(a), _episode(b))
     for kind in ("assets", "bodies", "agents", "skills", "events", "inputs"):
         ours, theirs = getattr(a, kind), getattr(b, kind)
         if len(ours) != len(theirs):
             differences.append(f"{kind}: {len(ours)} and {len(theirs)}")
             continue
-        for i, (x, y) in enumerate(zip(ours, theirs, strict=True)):
-            differences += _dict_differences(f"{kind}[{i}]", _struct(x), _struct(y))
+        for i, pair in enumerate(zip(ours, theirs, strict=True)):
+            # repr: NaN equals NaN, -0.0 differs from 0.0
+            x, y = ({name: repr(value) for name, value in struct_to_dict(record).items()} for record in pair)
+            differences += _dict_differences(f"{kind}[{i}]", x, y)
     differences += _set_differences("columns", a.columns, b.columns)
     for name in a.columns:
         if name in b.columns:
@@ -42,11 +47,6 @@ def _episode(rec: Recording) -> dict[str, Any]:
     # sorted, because the order of a mapping means nothing and differs between writers
     values["info"] = json.dumps(json.loads(values["info"]), sort_keys=True)
     return values
-
-
-def _struct(record: Any) -> dict[str, str]:
-    # repr: NaN equals NaN, -0.0 differs from 0.0
-    return {name: repr(value) for name, value in struct_to_dict(record).items()}
 
 
 def _dict_differences(what: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:

@@ -48,7 +48,7 @@ class StoredEpisode:
 
 
 def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
-    """Cameras of which all of the given episodes have a video of the same size.
+    """Return cameras of which all of the given episodes have a video of the same size.
 
     Episodes without steps and episodes that cannot be read do not count.
     """
@@ -70,7 +70,7 @@ class HasEpisodes(Protocol):
     """Protocol of what holds episodes: a dataset, or `Episodes`."""
 
     def all(self) -> Episodes:
-        """All episodes, in the order in which they are stored."""
+        """Return all episodes, in the order in which they are stored."""
         ...
 
 
@@ -101,7 +101,7 @@ class Episodes(Sequence[Recording]):
         return (stored.read() for stored in self.stored)
 
     def all(self) -> Episodes:
-        """Returns these episodes, as `Dataset.all` does those of a dataset."""
+        """Return these episodes, as `Dataset.all` does those of a dataset."""
         return self
 
     @property
@@ -110,7 +110,7 @@ class Episodes(Sequence[Recording]):
         return [stored.facts for stored in self.stored]
 
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
-        """Returns the episodes whose facts ``keep`` accepts and that have the given values.
+        """Return the episodes whose facts ``keep`` accepts and that have the given values.
 
         ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
 
@@ -132,7 +132,7 @@ class Episodes(Sequence[Recording]):
         return Episodes(chosen)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """Splits at random, the same for the same seed; ``by="scene"`` keeps the episodes of a scene together.
+        """Split at random, the same for the same seed; ``by="scene"`` keeps the episodes of a scene together.
 
         Args:
             shares: Sizes of the parts, as shares of the groups; what is missing to 1 is a last part.
@@ -162,14 +162,14 @@ class Episodes(Sequence[Recording]):
         return tuple(map(Episodes, parts))
 
     def merge(self, *others: HasEpisodes) -> Episodes:
-        """Returns these episodes followed by those of ``others``, each episode once."""
+        """Return these episodes followed by those of ``others``, each episode once."""
         stored = {of.facts["uid"]: of for of in self.stored}
         for other in others:
             stored |= {of.facts["uid"]: of for of in other.all().stored if of.facts["uid"] not in stored}
         return Episodes(stored.values())
 
     def save(self, root: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> None:
-        """Writes the episodes as a dataset, with the videos of those cameras that all of them have.
+        """Write the episodes as a dataset, with the videos of those cameras that all of them have.
 
         Raises:
             InputError: there are none, or the folder holds something.

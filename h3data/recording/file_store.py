@@ -26,7 +26,7 @@ class FileStore:
         """Contents of the files read last, the oldest first."""
 
     def put(self, name: str, data: bytes) -> str:
-        """Stores contents unless they are there already, and returns the file's name; ``name`` gives its suffix.
+        """Store contents unless they are there already, and return the file's name; ``name`` gives its suffix.
 
         A damaged file of that name is replaced.
         """
@@ -43,7 +43,7 @@ class FileStore:
         return stored
 
     def get(self, stored: str, *, what: str, hint: str) -> bytes:
-        """Contents of a file.
+        """Return contents of a file.
 
         Args:
             stored: Its name, as `put` returned it.

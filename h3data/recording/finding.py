@@ -18,7 +18,7 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 
 
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
-    """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
+    """Yield datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
     for path in map(place, paths):
         # a folder with `meta` is taken for a dataset even without info.json, so that its damage is reported
         if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
@@ -32,7 +32,7 @@ def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterat
 
 
 def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[StoredEpisode]:
-    """Finds every episode of ``.mcap`` files, datasets, single episodes (``ds#3``), and folders of all of these.
+    """Find every episode of ``.mcap`` files, datasets, single episodes (``ds#3``), and folders of all of these.
 
     What cannot be opened is in the list too: reading it fails.
 
@@ -52,7 +52,7 @@ def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[
 
 
 def stored_log(path: AnyPath) -> StoredEpisode:
-    """The episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
+    """Return the episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
 
     def in_dataset() -> tuple[Dataset, int] | None:
         root, sign, number = str(path).rpartition("#")

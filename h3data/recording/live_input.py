@@ -42,12 +42,12 @@ class LiveInput:
 
 
 def seq_column(user: int) -> str:
-    """Name of the column that numbers a player's messages."""
+    """Return the name of the column that numbers a player's messages."""
     return f"input.user_{user}.seq"
 
 
 def rtt_column(user: int) -> str:
-    """Name of the column of a player's round trip."""
+    """Return the name of the column of a player's round trip."""
     return f"input.user_{user}.rtt_ms"
 
 
@@ -107,7 +107,7 @@ def _asked(event: InputEvent, now: str) -> str:
 
 
 def _json(event: InputEvent) -> dict[str, Any]:
-    """The payload of raw input; empty where it is no JSON object, which `h3data validate` reports."""
+    """Return the payload of raw input; empty where it is no JSON object, which `h3data validate` reports."""
     try:
         payload = json.loads(event.payload or "{}")
     except ValueError:

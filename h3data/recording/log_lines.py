@@ -32,7 +32,7 @@ def speech(event: Event, names: Sequence[str]) -> str:
 
 
 def log_lines(recording: Recording) -> list[LogLine]:
-    """A line for each event, for the start of each skill, and for the end of each failed one; sorted by step."""
+    """Return a line for each event, for the start of each skill, and for the end of each failed one; sorted by step."""
     names = [agent.name for agent in recording.agents]
     lines = []
     for e in recording.events:

@@ -26,7 +26,7 @@ def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
 
 
 def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
-    """A `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder.
+    """Return a `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder.
 
     The path may be a URI: ``s3://bucket/ds`` (`h3data.recording.storage`).
 
@@ -72,7 +72,7 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
 
 
 def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None = None) -> Steps:
-    """The steps of an MCAP log, or of one ``episode`` of a dataset, by path or URI.
+    """Return the steps of an MCAP log, or of one ``episode`` of a dataset, by path or URI.
 
     Damage in parts of a log that are not read goes unnoticed; `read_mcap` checks the whole file.
 
@@ -109,7 +109,7 @@ def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
 
 
 def _format_of(path: AnyPath) -> Format:
-    """The format of a file; of one in a remote store only the beginning is read."""
+    """Return the format of a file; of one in a remote store only the beginning is read."""
     head_bytes = 1 << 16
     if isinstance(path, Path):
         return detect(SourceFile(path, chunk_bytes=head_bytes))

@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -160,7 +161,7 @@ class Episode:
     uid: str
     """Globally unique, a uuid."""
     episode_id: str
-    """Name within its dataset."""
+    """Name of the episode within its dataset."""
     task: str
     """``social_nav``, ``gfx_replay``, ..."""
     scene: str
@@ -210,7 +211,7 @@ class Recording:
     """Files that travel with the recording, e.g. ``scene.glb``."""
 
     def __post_init__(self) -> None:
-        faults = _faults(self)
+        faults = self._faults()
         if faults:
             raise FormatError(
                 f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + ".",
@@ -240,7 +241,7 @@ class Recording:
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
-        """Returns a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
+        """Return a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
         return notebook().show(self, viewer, **options)
 
     def _repr_html_(self) -> str:
@@ -259,13 +260,42 @@ class Recording:
         lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)
 
+    def _faults(self) -> list[str]:
+        faults = []
+        columns = self.columns
+        if "time_ns" not in columns:
+            return ["there is no column time_ns"]
+        steps = len(columns["time_ns"])
+        faults += [
+            f"column {name} has {len(array)} rows, time_ns has {steps}"
+            for name, array in columns.items()
+            if len(array) != steps
+        ]
+        if columns["time_ns"].dtype != np.int64:
+            faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
+        # compared and not subtracted, because differences of int64 may overflow
+        elif (columns["time_ns"][1:] <= columns["time_ns"][:-1]).any():
+            faults.append("time_ns does not increase strictly")
+        # tracks are found by their index, so each one needs exactly one body
+        moving = sorted(b.moving for b in self.bodies if b.moving >= 0)
+        # a recording without moving bodies may leave the column out
+        width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
+        if moving != list(range(width)):
+            faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
+        unknown = sorted({b.asset for b in self.bodies} - {a.name for a in self.assets})
+        if unknown:
+            faults.append(f"bodies use unknown assets {unknown[:3]}")
+        for i in range(len(self.agents)):
+            if f"agent_{i}.base_pose" not in columns:
+                faults.append(f"agent {i} ({self.agents[i].name}) has no column agent_{i}.base_pose")
+        return faults
 
-_NOTEBOOKS: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
 
-
+@cache
 def notebook() -> Any:
-    """The module that shows records in notebooks, which the package of viewers registers."""
-    return _NOTEBOOKS.get("notebook")
+    """Return the module that shows records in notebooks, which the package of viewers registers."""
+    displays: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
+    return displays.get("notebook")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,39 +315,8 @@ class RecordingHeader:
 
 
 def _keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Makes the imported walks of people known, which their models name."""
+    """Make the imported walks of people known, which their models name."""
     if any(name != "scene.glb" for name in attachments):  # importing bodies takes a while
         from h3data.bodies.names import keep_walks
 
         keep_walks(attachments)
-
-
-def _faults(rec: Recording) -> list[str]:
-    faults = []
-    columns = rec.columns
-    if "time_ns" not in columns:
-        return ["there is no column time_ns"]
-    steps = len(columns["time_ns"])
-    faults += [
-        f"column {name} has {len(array)} rows, time_ns has {steps}"
-        for name, array in columns.items()
-        if len(array) != steps
-    ]
-    if columns["time_ns"].dtype != np.int64:
-        faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
-    # compared and not subtracted, because differences of int64 may overflow
-    elif (columns["time_ns"][1:] <= columns["time_ns"][:-1]).any():
-        faults.append("time_ns does not increase strictly")
-    # tracks are found by their index, so each one needs exactly one body
-    moving = sorted(b.moving for b in rec.bodies if b.moving >= 0)
-    # a recording without moving bodies may leave the column out
-    width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
-    if moving != list(range(width)):
-        faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
-    unknown = sorted({b.asset for b in rec.bodies} - {a.name for a in rec.assets})
-    if unknown:
-        faults.append(f"bodies use unknown assets {unknown[:3]}")
-    for i in range(len(rec.agents)):
-        if f"agent_{i}.base_pose" not in columns:
-            faults.append(f"agent {i} ({rec.agents[i].name}) has no column agent_{i}.base_pose")
-    return faults

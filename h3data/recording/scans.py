@@ -43,7 +43,10 @@ class Scan(NamedTuple):
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
 
     def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
-        """Points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        """Return points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m].
+
+        They are NaN where a ray met nothing.
+        """
         reach = self.met()[rows].astype(np.float64)
         reach[np.isinf(reach)] = np.nan
         return reach.reshape(len(reach), -1, 1) * self.directions()
@@ -59,19 +62,19 @@ class Scan(NamedTuple):
 
 
 def scan_column(agent: int, sensor: str) -> str:
-    """Name of the column of an agent's sensor."""
+    """Return the name of the column of an agent's sensor."""
     return f"metrics.agent_{agent}.{sensor}"
 
 
 def scans_of(recording: Recording) -> list[Scan]:
-    """Returns the planar scans of a recording, by agent."""
+    """Return the planar scans of a recording, by agent."""
     # sensors that are scans: rays at equal angles, the first straight ahead, the others to the left
     scanners = ("lidar", "lidar_legs", "range_scan")
     return [scan for scan, _ in _found(recording, scanners, 2)]
 
 
 def clouds_of(recording: Recording) -> list[Scan]:
-    """Returns the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
+    """Return the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
     clouds = []
     # sensors that are scans of several lasers, each at an elevation of its own
     cloud_sensors = ("lidar_3d",)
@@ -87,7 +90,7 @@ def clouds_of(recording: Recording) -> list[Scan]:
 
 
 def _found(recording: Recording, sensors: tuple[str, ...], axes: int) -> list[tuple[Scan, Mapping[str, Any]]]:
-    """Returns the columns of some sensors as scans, with the facts that the recording states of each."""
+    """Return the columns of some sensors as scans, with the facts that the recording states of each."""
     told = recording.episode.info.get("sensors")
     found = []
     for agent in range(len(recording.agents)):

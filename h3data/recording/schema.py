@@ -77,7 +77,7 @@ Layout = tuple[Column, ...]
 
 
 def topic_of(column: str) -> Topic:
-    """Kind of a column: state, an action, a measurement, or input of people."""
+    """Return the kind of a column: state, an action, a measurement, or input of people."""
     if re.match(r"agent_\d+\.action$", column):
         return "action"
     if column.startswith("input."):
@@ -114,7 +114,7 @@ def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
 
 
 def default_layout(header: RecordingHeader | Recording) -> Layout:
-    """The smallest layout for these bodies and agents, for episodes that end before their first step."""
+    """Return the smallest layout for these bodies and agents, for episodes that end before their first step."""
     moving = sum(b.moving >= 0 for b in header.bodies)
     layout = [Column("time_ns", "int64", ())]
     if moving:
@@ -124,7 +124,7 @@ def default_layout(header: RecordingHeader | Recording) -> Layout:
 
 
 def required_columns(agents: int) -> set[str]:
-    """Columns that a `Recording` cannot do without."""
+    """Return columns that a `Recording` cannot do without."""
     return {"time_ns", "object_pose", *(f"agent_{i}.base_pose" for i in range(agents))}
 
 
@@ -134,12 +134,12 @@ def layout_hash(layout: Layout) -> str:
 
 
 def layout_to_json(layout: Layout) -> str:
-    """A JSON list of ``[name, dtype, shape]``."""
+    """Return a JSON list of ``[name, dtype, shape]``."""
     return json.dumps([[c.name, c.dtype, list(c.shape)] for c in layout], ensure_ascii=False)
 
 
 def layout_from_json(text: str) -> Layout:
-    """The inverse of `layout_to_json`; a `FormatError` if the text is no layout."""
+    """Return the inverse of `layout_to_json`; a `FormatError` if the text is no layout."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -155,18 +155,12 @@ def layout_from_json(text: str) -> Layout:
     return layout
 
 
-def version_numbers(version: str) -> tuple[int, int]:
-    """Major and minor number of a schema version; a `ValueError` if the text is no version."""
-    major, _, minor = version.partition(".")
-    # a third number is allowed, and says nothing about what can be read
-    return int(major), int(minor.partition(".")[0])
-
-
 def check_version(version: str, *, path: object) -> None:
-    """Raises a `FormatError` if the schema version of a file is unreadable, of a newer major one, or too old."""
-    ours, _ = version_numbers(SCHEMA_VERSION)
+    """Raise a `FormatError` if the schema version of a file is unreadable, of a newer major one, or too old."""
+    ours = int(SCHEMA_VERSION.partition(".")[0])
     try:
-        major, minor = version_numbers(version)
+        # a third number is allowed, and says nothing about what can be read
+        major, minor = (int(number) for number in version.split(".")[:2])
     except (ValueError, AttributeError):
         raise FormatError(
             f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}", code="H3-RECORDING-112"
@@ -266,7 +260,7 @@ def struct_to_dict(record: Any) -> dict[str, Any]:
 
 
 def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
-    """The inverse of `struct_to_dict`; fields that the file lacks keep their defaults.
+    """Return the inverse of `struct_to_dict`; fields that the file lacks keep their defaults.
 
     Raises:
         FormatError: a field has another type.
@@ -313,7 +307,7 @@ def info_to_json(info: Mapping[str, Any]) -> str:
 
 
 def episode_to_dict(episode: Episode) -> dict[str, Any]:
-    """Fields of an episode; ``info`` as JSON text."""
+    """Return fields of an episode; ``info`` as JSON text."""
     return {
         "uid": str(episode.uid),
         "episode_id": str(episode.episode_id),
@@ -328,7 +322,7 @@ def episode_to_dict(episode: Episode) -> dict[str, Any]:
 
 
 def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
-    """The inverse of `episode_to_dict`; numbers may come as text."""
+    """Return the inverse of `episode_to_dict`; numbers may come as text."""
     try:
         texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
         # before the rest, which a newer version may write otherwise
@@ -344,5 +338,5 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
 
 
 def ordered(columns: Mapping[str, NDArray[Any]], names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Columns in the order of ``names``."""
+    """Return columns in the order of ``names``."""
     return {name: columns[name] for name in names if name in columns}

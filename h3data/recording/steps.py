@@ -33,7 +33,7 @@ class Steps(ABC):
     def __len__(self) -> int: ...
 
     def rows(self, start: int, stop: int, *, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
-        """Columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
+        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
 
         Raises:
             InputError: there are no such steps or columns.
@@ -50,14 +50,14 @@ class Steps(ABC):
         return self._rows(start, stop, names if columns is None else [n for n in names if n in set(columns)])
 
     def __getitem__(self, step: int) -> dict[str, NDArray[Any]]:
-        """All columns at one step, without the time axis; -1 is the last."""
+        """Return all columns at one step, without the time axis; -1 is the last."""
         if not -len(self) <= step < len(self):
             raise IndexError(f"The recording has {len(self)} steps, there is no {step}.")  # also ends a for loop
         at = step % len(self)
         return {name: array[0] for name, array in self.rows(at, at + 1).items()}
 
     def recording(self, start: int, stop: int) -> Recording:
-        """The steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
+        """Return steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
 
         Steps of events and skills count from ``start``. Spans are cut to these steps; one that continues afterwards becomes
         ``running``. Inputs are those after the step before ``start``, up to the last step: adjacent windows divide them.
@@ -87,7 +87,7 @@ class Steps(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Releases files and memory; the steps cannot be read afterwards."""
+        """Release files and memory; the steps cannot be read afterwards."""
 
     def __enter__(self) -> Self:
         return self

@@ -88,7 +88,7 @@ class RemotePath:
         return folders
 
     def relative_to(self, folder: RemotePath) -> PurePosixPath:
-        """Path within a folder that contains this one.
+        """Return the path within a folder that contains this one.
 
         Raises:
             ValueError: the path does not lie in the folder.
@@ -96,19 +96,19 @@ class RemotePath:
         return PurePosixPath(self.path).relative_to(folder.path)
 
     def with_name(self, name: str) -> RemotePath:
-        """Path in the same folder with another last part."""
+        """Return the path in the same folder with another last part."""
         return self.parent / name
 
     def exists(self) -> bool:
-        """Returns whether there is a file or folder at this path."""
+        """Return whether there is a file or folder at this path."""
         return self._info().type != pafs.FileType.NotFound
 
     def is_dir(self) -> bool:
-        """Returns whether there is a folder at this path."""
+        """Return whether there is a folder at this path."""
         return self._info().type == pafs.FileType.Directory
 
     def is_file(self) -> bool:
-        """Returns whether there is a file at this path."""
+        """Return whether there is a file at this path."""
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
@@ -126,17 +126,17 @@ class RemotePath:
         return (self / name for name in self._listed() if PurePosixPath(name).match(pattern))
 
     def open_input(self) -> pa.NativeFile:
-        """The file opened for random access: only the ranges read are fetched."""
+        """Return the file opened for random access: only the ranges read are fetched."""
         with _allowed("read", self):
             return self.filesystem.open_input_file(self.key)
 
     def read_bytes(self) -> bytes:
-        """Content of the file."""
+        """Return the content of the file."""
         with self.open_input() as stream:
             return stream.read()
 
     def put(self, source: IO[bytes] | bytes) -> None:
-        """Uploads a whole file; in an object store it becomes visible when it is complete."""
+        """Upload a whole file; in an object store it becomes visible when it is complete."""
         if self.scheme == "mock":
             self.filesystem.create_dir(self.parent.key)  # unlike an object store, it needs its folders
         with _allowed("write", self), self.filesystem.open_output_stream(self.key) as stream:
@@ -146,7 +146,7 @@ class RemotePath:
                 shutil.copyfileobj(source, stream, 8 << 20)  # one part of an upload
 
     def unlink(self) -> None:
-        """Deletes the file."""
+        """Delete the file."""
         with _allowed("delete", self):
             self.filesystem.delete_file(self.key)
 
@@ -173,7 +173,7 @@ class RemotePath:
             return self.filesystem.get_file_info(self.key)
 
     def _listed(self, *, recursive: bool = True) -> list[str]:
-        """Paths of files and folders below, relative to this one, sorted."""
+        """Return paths of files and folders below, relative to this one, sorted."""
         # one request for a whole tree: object stores have no folders, and take tens of milliseconds for each
         # answer
         selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
@@ -196,7 +196,7 @@ def masked(text: str) -> str:
 
 
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
-    """A path or URI as a `Path` or `RemotePath`; ``file://`` is local.
+    """Return a path or URI as a `Path` or `RemotePath`; ``file://`` is local.
 
     A URI that was converted to a `Path`, and so lost a slash (``s3:/bucket``), counts as a URI.
 
@@ -228,7 +228,7 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
 
 
 def local(path: str | os.PathLike[str] | RemotePath) -> Path:
-    """The path of a file that can only be written locally.
+    """Return the path of a file that can only be written locally.
 
     Raises:
         InputError: it is a URI of anything but the local disk.
@@ -243,17 +243,17 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
 
 
 def readable(path: AnyPath) -> Path | pa.NativeFile:
-    """The file as pyarrow's readers take it: absolute, since they take a relative ``data:x`` for a URI."""
+    """Return the file as pyarrow's readers take it: absolute, since they take a relative ``data:x`` for a URI."""
     return path.open_input() if isinstance(path, RemotePath) else path.absolute()
 
 
 def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
-    """The file opened for reading."""
+    """Return the file opened for reading."""
     return path.open_input() if isinstance(path, RemotePath) else open(path, "rb")
 
 
 def sizes_below(folder: AnyPath) -> dict[str, int]:
-    """Sizes [B] of all files below a folder by their paths relative to it, sorted; none if it does not exist."""
+    """Return sizes [B] of all files below a folder by their paths relative to it, sorted; none if it does not exist."""
     if isinstance(folder, Path):
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
@@ -265,7 +265,7 @@ def sizes_below(folder: AnyPath) -> dict[str, int]:
 
 
 def remove_tree(folder: AnyPath) -> None:
-    """Deletes a folder and everything in it, if it exists."""
+    """Delete a folder and everything in it, if it exists."""
     if not folder.exists():
         return
     if isinstance(folder, Path):
@@ -289,7 +289,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
 
 @contextmanager
 def _allowed(to: str, path: RemotePath) -> Iterator[None]:
-    """Explains those errors of a store that a user can correct; all others pass.
+    """Explain those errors of a store that a user can correct; all others pass.
 
     Raises:
         InputError: the credentials do not allow that, there is no such bucket, or nobody answers.
@@ -322,7 +322,7 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
 
 @lru_cache(maxsize=64)
 def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
-    """The file system of all URIs that begin like this, and the path of that beginning within it."""
+    """Return the file system of all URIs that begin like this, and the path of that beginning within it."""
     uri = f"{scheme}://{authority}" + (f"?{query}" if query else "")
     try:
         # kept per bucket by the cache: a new client would look up credentials and connect again for every file

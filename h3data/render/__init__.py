@@ -10,10 +10,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from h3data.moved import refuse_renamed
+from h3data.moved import lazy_names
+from h3data.render import overlay
 from h3data.render.camera import (
     CONVENTIONS,
     OPENGL_TO_OPENCV,
@@ -27,7 +27,6 @@ from h3data.render.camera import (
 )
 
 if TYPE_CHECKING:
-    from h3data.render import overlay
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
     from h3data.render.image_files import write_depth_png, write_png
     from h3data.render.outputs import Output, Poses
@@ -61,24 +60,15 @@ __all__ = [
     "write_png",
 ]
 
-_MODULE_OF = {
-    name: module
-    for module, names in {
-        "colors": "depth_to_rgb instance_to_rgb normalize_depth",
-        "image_files": "write_depth_png write_png",
-        "outputs": "Output Poses",
-        "renderer": "Renderer",
-        "scene": "RenderInstance RenderScene",
-        "shade.shading": "Light",
-        "video": "VideoWriter",
-    }.items()
-    for name in names.split()
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name == "overlay":
-        return import_module("h3data.render.overlay")
-    if name not in _MODULE_OF:
-        return refuse_renamed(__name__)(name)
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        **dict.fromkeys(("depth_to_rgb", "instance_to_rgb", "normalize_depth"), ".colors"),
+        **dict.fromkeys(("write_depth_png", "write_png"), ".image_files"),
+        **dict.fromkeys(("Output", "Poses"), ".outputs"),
+        "Renderer": ".renderer",
+        **dict.fromkeys(("RenderInstance", "RenderScene"), ".scene"),
+        "Light": ".shade.shading",
+        "VideoWriter": ".video",
+    },
+)

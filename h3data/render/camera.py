@@ -166,7 +166,7 @@ class Camera:
 
     @property
     def is_planar(self) -> bool:
-        """Returns whether straight lines stay straight and depth is along z (perspective and orthographic cameras)."""
+        """Return whether straight lines stay straight and depth is along z (perspective and orthographic cameras)."""
         return self.projection in ("perspective", "orthographic")
 
 
@@ -182,7 +182,7 @@ def pinhole(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """A perspective camera with square pixels and centred principal point, like Habitat's sensors (spec/habitat.md 1.5).
+    """Return a perspective camera with square pixels and centred principal point, like Habitat's sensors (spec/habitat.md 1.5).
 
     ``width`` x ``height`` are in pixels; ``hfov_deg`` spans the width.
     """
@@ -206,7 +206,7 @@ def orthographic(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """A camera with parallel rays; the image is ``width_m`` [m] wide at any depth."""
+    """Return a camera with parallel rays; the image is ``width_m`` [m] wide at any depth."""
     if not 0 < width_m < np.inf:
         raise InputError(
             f"The width of an orthographic view must be a positive number of metres, got {width_m}.",
@@ -225,7 +225,7 @@ def fisheye(
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
 ) -> Camera:
-    """An equidistant fisheye (distance from the centre proportional to the angle); ``hfov_deg`` spans the width."""
+    """Return an equidistant fisheye (distance from the centre proportional to the angle); ``hfov_deg`` spans the width."""
     if not 0 < hfov_deg <= 360:
         raise InputError(
             f"The field of view of a fisheye must be above 0 and at most 360 degrees, got {hfov_deg}.",
@@ -243,7 +243,7 @@ def equirectangular(
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
 ) -> Camera:
-    """A panorama: 360 degrees of longitude across, 180 of latitude down; ``height`` defaults to half the width."""
+    """Return a panorama: 360 degrees of longitude across, 180 of latitude down; ``height`` defaults to half the width."""
     height = height or width // 2
     fx, fy = width / (2 * np.pi), height / np.pi
     return _centred(width, height, fx, fy, "equirectangular", name, pose, hidden_layers)
@@ -261,7 +261,7 @@ def _centred(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """A camera with its principal point at the centre of the image."""
+    """Return a camera with its principal point at the centre of the image."""
     return Camera(
         name=name,
         width=width,
@@ -281,7 +281,7 @@ def _centred(
 def camera_from_matrix(
     matrix: ArrayLike, width: int, height: int, *, name: str = "camera", pose: ArrayLike | None = None
 ) -> Camera:
-    """A perspective camera with a calibrated 3x3 matrix K = [[fx 0 cx] [0 fy cy] [0 0 1]] [px].
+    """Return a perspective camera with a calibrated 3x3 matrix K = [[fx 0 cx] [0 fy cy] [0 0 1]] [px].
 
     Raises:
         InputError: the matrix has another form: singular, skewed, not finite, or focal lengths that are not positive.

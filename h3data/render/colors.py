@@ -75,7 +75,7 @@ def _depth_palette() -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=1)
 def _palette() -> NDArray[np.uint8]:
-    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3].
+    """Return colours by id, followed by `MISS_COLOR`, shape [1025, 3].
 
     Hues advance in steps of the golden ratio with alternating saturation and brightness, so that neighbouring ids
     differ clearly.

@@ -28,7 +28,7 @@ _EXPONENT, _SIGN, _MANTISSA, _KINDS = 1, 11, 22, 32
 """The adaptive probabilities of a context: 0 or not, ten for exponents, eleven for signs, ten for mantissas."""
 _MARGIN_BYTES = 256
 _AT_ONCE = 32
-"""Pixels that are predicted at once."""
+"""Number of pixels that are predicted at once."""
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
     np.uintp(k) for k in (0, 1, 2, 3, 4, 8, 15, 16, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
 )
@@ -37,7 +37,7 @@ _REVERSED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
 
 
 def _next_probabilities() -> NDArray[np.uint8]:
-    """The probability of a 1, in 1/256, after a 0 and after a 1, given the one before, shape [2, 256].
+    """Return the probability of a 1, in 1/256, after a 0 and after a 1, given the one before, shape [2, 256].
 
     It is the default table of RFC 9043 (3.8.1.3): after a 1, the distance to 1 falls by a twentieth. Of the probabilities
     that follow 1/2 one after another, only the table's are rounded; the others start from their rounded values.
@@ -71,17 +71,17 @@ class _Header:
         self.forget()
 
     def forget(self) -> None:
-        """Makes all probabilities even again."""
+        """Make all probabilities even again."""
         self._probabilities = [128] * _KINDS
 
     def bit(self, value: int, kind: int = 0) -> None:
-        """Appends a bit."""
+        """Append a bit."""
         before = self._probabilities[kind]
         self.decisions.append(before | value << 8)
         self._probabilities[kind] = int(_NEXT[value, before])
 
     def numbers(self, *values: int) -> None:
-        """Appends numbers from 0 to 1023."""
+        """Append numbers from 0 to 1023."""
         for value in values:
             self.bit(int(value == 0))
             exponent = value.bit_length() - 1
@@ -92,7 +92,7 @@ class _Header:
 
 
 def _record(slices: int) -> bytes:
-    """The configuration record (RFC 9043, 4.3): version 3.4, one plane of 16 bits, ``slices`` columns."""
+    """Return the configuration record (RFC 9043, 4.3): version 3.4, one plane of 16 bits, ``slices`` columns."""
     head = _Header()
     head.numbers(3, 4, 1, 0, 16)  # range coder with its default table, luma
     head.bit(0)  # no chroma
@@ -123,7 +123,7 @@ class Ffv1Encoder:
     """Encodes uint16 images [H, W]. It has buffers of its own, so use one per thread."""
 
     def __init__(self, width: int, height: int) -> None:
-        """Prepares the buffers and the ``record`` that decoders need."""
+        """Prepare the buffers and the ``record`` that decoders need."""
         slices = min(LANES, width)
         self.record = _record(slices)
         self._starts = np.arange(LANES + 1).clip(max=slices) * width // slices
@@ -157,7 +157,7 @@ class Ffv1Encoder:
         self._sizes = np.empty(LANES, np.int64)
 
     def encoded(self, image: NDArray[np.uint16]) -> bytes:
-        """The frame of an image of the size that the encoder was made for."""
+        """Return the frame of an image of the size that the encoder was made for."""
         _encode(
             np.ascontiguousarray(image).view(np.int16),
             self._rows,
@@ -187,7 +187,7 @@ def _code_header(decisions, out):
 
 @kernel(boundscheck=False)
 def _encode(image, rows, starts, heads, following, buffers, out, sizes):
-    """Fills the slices of an image [H, W], ``rows`` at a time, and their sizes; slices without pixels have 0."""
+    """Fill the slices of an image [H, W], ``rows`` at a time, and their sizes; slices without pixels have 0."""
     lines, differences, classes, lists, probabilities, decisions, traces = buffers
     coders, totals = _coders(), np.zeros(LANES, np.uintp)
     sizes[:] = 0
@@ -237,7 +237,7 @@ def _at(array, k, size):
 
 @kernel_part(boundscheck=False)
 def _decide(differences, classes, numbers, lists, probabilities, following, decisions, totals):
-    """Fills the decisions [N, 8] about ``numbers`` [8] pixels of each lane, and their number ``totals`` [8].
+    """Fill the decisions [N, 8] about ``numbers`` [8] pixels of each lane, and their number ``totals`` [8].
 
     First whether each difference is 0. Those that are not are listed, and so on: of the decisions that follow, each is
     made for all of them before the next.
@@ -270,7 +270,7 @@ def _decide(differences, classes, numbers, lists, probabilities, following, deci
 
 @kernel_part(forceinline=True)
 def _is_zero(k, lane, at, listed, places):
-    """Decides whether difference ``k`` is 0; returns the number of decisions up to the next one, and of those listed."""
+    """Decide whether difference ``k`` is 0; return the number of decisions up to the next one, and of those listed."""
     _, classes_at, lists_at, probabilities_at, next_at, decisions_at, stride = places
     entry = read_half(classes_at + (lane * stride + np.uintp(k)) * _TWO)
     zero = np.uintp((entry >> _BYTE) == _ONE)
@@ -282,7 +282,7 @@ def _is_zero(k, lane, at, listed, places):
 
 @kernel_part()
 def _decide_rest(first, number, lane, at, listed, places):
-    """Decides what is left about a lane, whose differences are known to be 0 or not up to the ``first``."""
+    """Decide what is left about a lane, whose differences are known to be 0 or not up to the ``first``."""
     differences_at, classes_at, lists_at, probabilities_at, next_at, decisions_at, stride = places
     for k in range(first, number):
         at, listed = _is_zero(k, lane, at, listed, places)
@@ -331,7 +331,7 @@ def _decide_rest(first, number, lane, at, listed, places):
 
 @kernel_part(forceinline=True)
 def _listed(j, lists_at, classes_at, differences_at, probabilities_at, decisions_at):
-    """The entry ``j`` of a list, its exponent, the places of its probabilities and decisions, and its 16 bits."""
+    """Return the entry ``j`` of a list, its exponent, the places of its probabilities and decisions, and its 16 bits."""
     entry = read_word(lists_at + np.uintp(j) * _FOUR)
     k = (entry & _LOW_HALF) * _TWO
     what = read_half(classes_at + k)
@@ -347,7 +347,7 @@ def _listed(j, lists_at, classes_at, differences_at, probabilities_at, decisions
 
 @kernel_part(forceinline=True, boundscheck=False)
 def _coders():
-    """The lower ends and the lengths of the ranges of eight coders, shape [2, 8]."""
+    """Return the lower ends and the lengths of the ranges of eight coders, shape [2, 8]."""
     coders = np.zeros((2, LANES), np.uint32)
     # the range at the start (RFC 9043, 3.8.1.1)
     coders[1] = 0xFF00
@@ -375,7 +375,7 @@ def _code(decisions, number, coders, traces, out, sizes):
 
 @kernel_part(boundscheck=False)
 def _finish(coders, lane, out, size):
-    """Ends a slice of ``size`` numbers and makes bytes of them; returns the number of bytes.
+    """End a slice of ``size`` numbers and make bytes of them; return the number of bytes.
 
     The end is the decision 0 at the probability 129/256, and as many bytes as tell it from others.
     """
@@ -423,7 +423,7 @@ read_word, write_word = _memory(32)
 
 @intrinsic
 def copy(typing_context, source_at, target_at, size):
-    """Copies ``size`` bytes."""
+    """Copy ``size`` bytes."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         source, target = (b.inttoptr(at, ir.IntType(8).as_pointer()) for at in arguments[:2])
@@ -436,7 +436,7 @@ def copy(typing_context, source_at, target_at, size):
 
 @intrinsic
 def read_long(typing_context, at):
-    """The 64 bits at an address."""
+    """Return the 64 bits at an address."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         value = b.load(b.inttoptr(arguments[0], INT64.as_pointer()))
@@ -458,7 +458,7 @@ def lowest_bit(typing_context, number):
 
 @intrinsic
 def decide(typing_context, bit, probability_at, next_at, decision_at):
-    """Writes a decision, and the probability of the next one of its kind."""
+    """Write a decision, and the probability of the next one of its kind."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         bit, probability_at, next_at, decision_at = arguments

@@ -16,7 +16,7 @@ MAX_DEPTH_MM = 65535
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
-    """Writes RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as PNG."""
+    """Write RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as PNG."""
     data = png_bytes(image)
     with part_file(path) as part:
         part.write_bytes(data)
@@ -46,12 +46,12 @@ def png_bytes(image: NDArray) -> bytes:
 
 
 def write_image(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
-    """Writes RGB uint8 [H, W, 3] as PNG if ``path`` ends in ``.png``, else as JPEG."""
+    """Write RGB uint8 [H, W, 3] as PNG if ``path`` ends in ``.png``, else as JPEG."""
     (write_png if os.fspath(path).lower().endswith(".png") else write_jpg)(path, image)
 
 
 def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality: int = 90) -> None:
-    """Writes RGB uint8 [H, W, 3] as JPEG."""
+    """Write RGB uint8 [H, W, 3] as JPEG."""
     import cv2
 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
@@ -66,7 +66,7 @@ def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality
 
 
 def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
-    """An image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
+    """Return an image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
     import cv2
 
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -74,7 +74,7 @@ def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -> None:
-    """Writes depth [H, W] [m] as 16-bit PNG in millimetres, see `depth_to_mm`."""
+    """Write depth [H, W] [m] as 16-bit PNG in millimetres, see `depth_to_mm`."""
     write_png(path, depth_to_mm(depth))
 
 

@@ -36,7 +36,7 @@ class Poses(NamedTuple):
 
 
 def check_outputs(outputs: Sequence[str]) -> None:
-    """Raises an InputError if a name is not an output."""
+    """Raise an InputError if a name is not an output."""
     # a string is a sequence too: of its letters
     unknown = [name for name in outputs if name not in FORMS]
     if unknown or isinstance(outputs, str):

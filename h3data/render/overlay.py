@@ -21,7 +21,7 @@ _FAR_PX = 1 << 20
 def draw_polyline(
     image: NDArray[np.uint8], camera: Camera, points: ArrayLike, color: Color, thickness: int = 2
 ) -> None:
-    """Draws the line through world points [N, 3] [m] onto ``image`` [H, W, 3]; NaN points interrupt it.
+    """Draw the line through world points [N, 3] [m] onto ``image`` [H, W, 3]; NaN points interrupt it.
 
     The line is clipped behind the camera but not occluded by the scene.
     """
@@ -49,7 +49,7 @@ def draw_polyline(
 def draw_circle(
     image: NDArray[np.uint8], camera: Camera, point: ArrayLike, color: Color, *, radius_px: int = 5, thickness: int = -1
 ) -> None:
-    """Draws a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
+    """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
     import cv2
 
     at = _pixel(image, camera, point)
@@ -60,7 +60,7 @@ def draw_circle(
 def draw_label(
     image: NDArray[np.uint8], camera: Camera, point: ArrayLike, text: str, color: Color, *, scale: float = 0.45
 ) -> None:
-    """Writes ``text`` centred above a world point [3] [m], with a dark outline, unless it is behind the camera."""
+    """Write ``text`` centred above a world point [3] [m], with a dark outline, unless it is behind the camera."""
     import cv2
 
     at = _pixel(image, camera, point)
@@ -86,7 +86,7 @@ def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _clip_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The part of a line [2, 2] within +-`_FAR_PX` (Liang & Barsky 1984); None if there is none."""
+    """Return the part of a line [2, 2] within +-`_FAR_PX` (Liang & Barsky 1984); None if there is none."""
     start, step = pixels[0], pixels[1] - pixels[0]
     low, high = 0.0, 1.0
     for axis in range(2):

@@ -29,15 +29,15 @@ class Engine(Protocol):
     """A back end. It keeps the state of each world and renders; `Renderer` has already checked its arguments."""
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Sets the transforms [n, 3, 4] of instances [n]."""
+        """Set the transforms [n, 3, 4] of instances [n]."""
         ...
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Shows or hides instances [n]."""
+        """Show or hide instances [n]."""
         ...
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replaces the vertices [V, 3] of a deformable mesh; the engine may keep the array."""
+        """Replace the vertices [V, 3] of a deformable mesh; the engine may keep the array."""
         ...
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
@@ -45,7 +45,7 @@ class Engine(Protocol):
         ...
 
     def poses(self, world: int) -> Poses:
-        """A copy of the state of a world."""
+        """Return a copy of the state of a world."""
         ...
 
     def render(
@@ -56,7 +56,7 @@ class Engine(Protocol):
         samples: int,
         out: Mapping[str, Any] | None,
     ) -> dict[str, Any]:
-        """Images [N, H, W, ...] of N cameras of one size, each in its own world."""
+        """Return images [N, H, W, ...] of N cameras of one size, each in its own world."""
         ...
 
 
@@ -76,7 +76,7 @@ class Renderer:
         worlds: int = 1,
         threads: int = 1,
     ) -> None:
-        """Prepares a scene for a back end.
+        """Prepare a scene for a back end.
 
         Args:
             scene: the scene.
@@ -102,7 +102,7 @@ class Renderer:
 
     # --- state ----------------------------------------------------------------------------------------------------
     def set_transforms(self, indices: ArrayLike, matrices: ArrayLike, *, world: int = 0) -> None:
-        """Sets the transforms [n, 4, 4] or [n, 3, 4] of instances [n], mesh to world.
+        """Set the transforms [n, 4, 4] or [n, 3, 4] of instances [n], mesh to world.
 
         NaN hides an instance until its transform is set again.
         """
@@ -117,12 +117,12 @@ class Renderer:
         self._engine.set_transforms(self._world(world), index, m[:, :3])
 
     def set_visible(self, indices: ArrayLike, visible: ArrayLike, *, world: int = 0) -> None:
-        """Shows or hides instances [n]; ``visible`` is one bool or [n]."""
+        """Show or hide instances [n]; ``visible`` is one bool or [n]."""
         index = self._checked(indices)
         self._engine.set_visible(self._world(world), index, np.broadcast_to(np.asarray(visible, np.bool_), index.shape))
 
     def set_vertices(self, mesh: int, vertices: ArrayLike, *, world: int = 0) -> None:
-        """Replaces the vertices [V, 3] [m] of a deformable mesh; its smooth normals are updated."""
+        """Replace the vertices [V, 3] [m] of a deformable mesh; its smooth normals are updated."""
         scene = self.scene
         if mesh not in scene.deformable:
             raise InputError(
@@ -142,7 +142,7 @@ class Renderer:
         self._engine.set_vertices(self._world(world), mesh, v)
 
     def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
-        """Sets the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
+        """Set the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
 
         `h3data_light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
         they are set again.
@@ -165,7 +165,7 @@ class Renderer:
         self._engine.set_blockers(self._world(world), blockers)
 
     def poses(self, world: int = 0) -> Poses:
-        """A copy of the state of a world, e.g. for `h3data_pipelines.pictures.flow.optical_flow`."""
+        """Return a copy of the state of a world, e.g. for `h3data_pipelines.pictures.flow.optical_flow`."""
         return self._engine.poses(self._world(world))
 
     def _world(self, world: int) -> int:
@@ -197,7 +197,7 @@ class Renderer:
         out: Mapping[str, Any] | None = None,
         world: int = 0,
     ) -> dict[str, Any]:
-        """Images of one camera by output, each [H, W, ...], top row first.
+        """Return images of one camera by output, each [H, W, ...], top row first.
 
         - ``depth`` float32: z-depth [m] (distance for fisheye and equirectangular cameras), 0 = miss
         - ``instance``, ``semantic``, ``triangle`` (of the mesh) int32, -1 = miss
@@ -219,7 +219,7 @@ class Renderer:
         samples: Literal[1, 4] = 1,
         out: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Images of N cameras of one size, each in its own world (default 0), as in `render`, each [N, H, W, ...]."""
+        """Return images of N cameras of one size, each in its own world (default 0), as in `render`, each [N, H, W, ...]."""
         check_outputs(outputs)
         if samples not in (1, 4):
             raise InputError(f"samples must be 1 or 4, got {samples!r}.", code="H3-RENDER-032")

@@ -58,7 +58,7 @@ class RenderScene:
         deformable: Sequence[int] = (),
         mirrors: Mapping[int, NDArray[np.float32]] | None = None,
     ) -> None:
-        """Cuts the meshes into clusters.
+        """Cut the meshes into clusters.
 
         Args:
             meshes: the meshes.
@@ -137,14 +137,14 @@ class RenderScene:
         return surface
 
     def own_packet_range(self, mesh: int) -> slice:
-        """Range of a deformable mesh's packets within the packets that every renderer keeps for itself."""
+        """Return the range of a deformable mesh's packets within the packets that every renderer keeps for itself."""
         packets = _packet_range(self.geometry, mesh)
         # own packets are numbered after all shared ones (`_join`)
         shared = len(self.geometry.shared_packets)
         return slice(packets.start - shared, packets.stop - shared)
 
     def cluster_range(self, mesh: int) -> slice:
-        """Range of a mesh's clusters."""
+        """Return the range of a mesh's clusters."""
         return slice(int(self.geometry.mesh_first[mesh]), int(self.geometry.mesh_first[mesh + 1]))
 
     @cached_property
@@ -165,7 +165,7 @@ class RenderScene:
 
 
 def _cut_out(mesh: Mesh) -> NDArray[np.bool_]:
-    """Returns whether each triangle may have holes, shape [F]."""
+    """Return whether each triangle may have holes, shape [F]."""
     out = np.zeros(len(mesh.faces), np.bool_)
     if mesh.uv is not None:
         numbers = face_texture_indices(mesh)
@@ -180,13 +180,13 @@ def _starts(lengths: Iterable[int]) -> NDArray[np.int64]:
 
 
 def _packet_range(geometry: Geometry, mesh: int) -> slice:
-    """Range of a mesh's packets, counted through shared and own packets."""
+    """Return the range of a mesh's packets, counted through shared and own packets."""
     clusters = geometry.cluster_packets[geometry.mesh_first[mesh] : geometry.mesh_first[mesh + 1]]
     return slice(int(clusters[0, 0]), int(clusters[-1, 1])) if len(clusters) else slice(0, 0)
 
 
 def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry, NDArray[np.int32]]:
-    """One `Geometry` of all meshes, and the mesh triangle in every lane [P, 8].
+    """Return one `Geometry` of all meshes, and the mesh triangle in every lane [P, 8].
 
     Clusters are numbered mesh by mesh; the packets of deformable meshes come after all others.
     """

@@ -44,7 +44,7 @@ _SETTINGS = {
 _LUMA, _U, _V = (66, 129, 25, 4224), (-38, -74, 112, 131584), (112, -94, -18, 131584)
 """Weights of red, green and blue, and a constant, in 1/256 for one pixel and in 1/1024 for the sum of four."""
 _AT_ONCE = 16
-"""Pixels that are converted at once."""
+"""Number of pixels that are converted at once."""
 
 
 class VideoWriter:
@@ -69,7 +69,7 @@ class VideoWriter:
         key_frames: int | None = None,
         threads: int = 1,
     ) -> None:
-        """Opens the file and the encoder.
+        """Open the file and the encoder.
 
         Args:
             path: file to write.
@@ -138,11 +138,11 @@ class VideoWriter:
         return Fraction(self.fps).limit_denominator(1001)
 
     def write(self, image: NDArray[Any]) -> None:
-        """Appends one frame."""
+        """Append one frame."""
         self.write_planes(self.planes(image))
 
     def planes(self, image: NDArray[Any]) -> Any:
-        """A frame converted for `write_planes`; may run in any thread.
+        """Return a frame converted for `write_planes`; may run in any thread.
 
         Frames of ``ffv1``, which do not depend on each other, are encoded here, so that several threads can do it.
         """
@@ -175,7 +175,7 @@ class VideoWriter:
         return frame
 
     def write_planes(self, planes: Any) -> None:
-        """Appends one frame converted by `planes`."""
+        """Append one frame converted by `planes`."""
         if self._stack is None:
             raise InputError(
                 f"The video is not open. Hint: with VideoWriter(...) as video: video.write(image). {self.path}",
@@ -210,7 +210,7 @@ class VideoWriter:
 
 @kernel(boundscheck=False)
 def _to_yuv(rgb, y, u, v):
-    """Converts rgb [H, W, 3] to y [H, W] and u, v [H/2, W/2]: BT.601, limited range; chroma is the mean of 2x2 pixels.
+    """Convert rgb [H, W, 3] to y [H, W] and u, v [H/2, W/2]: BT.601, limited range; chroma is the mean of 2x2 pixels.
 
     In fixed point, of which 16 bits suffice for luma.
     """
@@ -244,13 +244,13 @@ def _weighted(of_r, of_g, of_b, more, r, g, b):
 
 @kernel_part(forceinline=True, boundscheck=False)
 def _four(upper, lower, k):
-    """Sum of a channel over 2x2 pixels."""
+    """Return the sum of a channel over 2x2 pixels."""
     return np.int32(upper[k]) + np.int32(upper[k + 3]) + np.int32(lower[k]) + np.int32(lower[k + 3])
 
 
 @intrinsic
 def yuv_block(typing_context, rgb_at, rgb_bytes, y_at, y_bytes, u_at, v_at):
-    """Converts two rows of 16 pixels, which are ``rgb_bytes`` and ``y_bytes`` apart."""
+    """Convert two rows of 16 pixels, which are ``rgb_bytes`` and ``y_bytes`` apart."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         rgb_at, rgb_bytes, y_at, y_bytes, u_at, v_at = arguments

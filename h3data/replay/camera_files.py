@@ -88,7 +88,7 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 def load_camera_file(path: Path) -> CameraFile:
-    """The camera in a TOML or JSON file.
+    """Return the camera in a TOML or JSON file.
 
     Raises:
         InputError: there is no such file, or it does not describe a camera.
@@ -116,7 +116,7 @@ def load_camera_file(path: Path) -> CameraFile:
 
 
 def track_of_file(replay: Replay, path: Path) -> CameraTrack:
-    """The camera described in a file, with its pose at every step of a recording.
+    """Return the camera described in a file, with its pose at every step of a recording.
 
     Raises:
         InputError: the file is not a camera, or the recording lacks what it is mounted on.
@@ -204,7 +204,7 @@ def _times(replay: Replay) -> NDArray[np.float64]:
 
 
 def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float64]:
-    """Poses [T, 4, 4] (OpenCV camera to world) at times [T] of a camera that circles ``target`` [m]."""
+    """Return poses [T, 4, 4] (OpenCV camera to world) at times [T] of a camera that circles ``target`` [m]."""
     angle = np.radians(orbit.start_deg) + 2 * np.pi * np.asarray(times_s) / orbit.period_s
     # a heading turns from +X towards -Z: counter-clockwise seen from above
     outward = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
@@ -298,7 +298,7 @@ def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
 
 
 def _rigid(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Frames [T, 4, 4] with unit axes and gaps (NaN) filled."""
+    """Return frames [T, 4, 4] with unit axes and gaps (NaN) filled."""
     frames = forward_fill(matrices.reshape(len(matrices), 16)).reshape(-1, 4, 4)
     # a scaled body would scale what the camera sees
     frames[:, :3, :3] /= np.maximum(np.linalg.norm(frames[:, :3, :3], axis=1, keepdims=True), 1e-12)

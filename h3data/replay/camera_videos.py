@@ -40,7 +40,7 @@ def render_videos(
     backend: FrameBackend = "cpu",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
 ) -> list[EpisodeVideo]:
-    """Renders the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.
+    """Render the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.
 
     The same recording gives the same bytes, with any number of threads. Memory does not grow with its length.
 
@@ -113,7 +113,7 @@ def render_videos(
 
 
 def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
-    """The tracks of cameras by name or file.
+    """Return the tracks of cameras by name or file.
 
     Raises:
         InputError: there is no such camera, two have the same name, or its pictures have no colours.
@@ -145,7 +145,7 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
 
 
 def _moments(histogram: NDArray[np.int64]) -> Moments:
-    """Moments of the channels in 0..1, as LeRobot decodes them, from the histogram of all their pixels."""
+    """Return moments of the channels in 0..1, as LeRobot decodes them, from the histogram of all their pixels."""
     # 256 counts for each channel instead of the pixels of a whole video
     values, counts = np.arange(256) / 255.0, histogram.astype(np.float64)
     total = counts.sum(1)

@@ -50,7 +50,7 @@ def split_size(name_or_file: str) -> tuple[str, tuple[int, int] | None]:
 
 
 def camera_names(replay: Replay) -> list[str]:
-    """Names of all cameras that a recording offers."""
+    """Return names of all cameras that a recording offers."""
     names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
         names.append(THIRD_PERSON)
@@ -65,7 +65,7 @@ def camera_names(replay: Replay) -> list[str]:
 
 
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
-    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (h3data docs cameras).
+    """Return the camera with a name (`camera_names`), or the one described in a TOML or JSON file (h3data docs cameras).
 
     ``agent/name`` selects the camera of one agent if several have a camera of that name. ``name@WIDTHxHEIGHT`` gives its
     pictures another size and keeps the field of view (`CameraTrack.resized`).
@@ -119,7 +119,7 @@ def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
 
 
 def _followed(replay: Replay, name: str) -> int | None:
-    """Number of the agent that ``third_person`` or ``agent/third_person`` follows, None for any other camera."""
+    """Return the number of the agent that ``third_person`` or ``agent/third_person`` follows, None for any other camera."""
     owner, _, camera_name = name.rpartition("/")
     agents = replay.recording.agents
     if camera_name != THIRD_PERSON or not agents:
@@ -128,7 +128,10 @@ def _followed(replay: Replay, name: str) -> int | None:
 
 
 def carrier_of(replay: Replay, name: str) -> int | None:
-    """Number of the first agent that carries a camera of this name, or of the agent in ``agent/name``; None: nobody does."""
+    """Return the number of the first agent that carries a camera of this name, or of the agent in ``agent/name``.
+
+    The result is None if nobody carries such a camera.
+    """
     owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None
@@ -138,7 +141,7 @@ def carrier_of(replay: Replay, name: str) -> int | None:
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
-    """The camera that an agent carries (`carrier_of`); None: nobody does."""
+    """Return the camera that an agent carries (`carrier_of`); None: nobody does."""
     # names of videos are names of files, so that `agent/name` becomes `agent.name`
     index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
     if index is None:
@@ -167,7 +170,7 @@ CUT_M = 2.2
 
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """A static view of the whole home from high above, without ceilings, -Z at the top."""
+    """Return a static view of the whole home from high above, without ceilings, -Z at the top."""
     lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     shape = float(np.clip(span_z / span_x, 1 / 3, 3 / 2))
@@ -190,7 +193,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
 
 
 def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """The whole home as a plan to scale, i.e. `top_down` without perspective."""
+    """Return the whole home as a plan to scale, i.e. `top_down` without perspective."""
     lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     scale = np.sqrt(TOP_DOWN_PIXELS / (span_x * span_z))
@@ -227,7 +230,7 @@ def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
 
 
 def orbit(replay: Replay) -> CameraTrack:
-    """A camera that circles the whole home from above, without ceilings, once per recording."""
+    """Return a camera that circles the whole home from above, without ceilings, once per recording."""
     lo, hi = _extent(replay)
     middle, reach = (lo + hi) / 2, float(np.hypot(hi[0] - lo[0], hi[2] - lo[2])) / 2
     times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9

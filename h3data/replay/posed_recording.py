@@ -173,7 +173,7 @@ class PosedRecording:
         )
 
     def _add_rigged(self, body: Body, ref: AssetRef, rig: Mapping[str, Any]) -> bool:
-        """Adds a body that is deformed by recorded bones; False if its file has no skin or the bones were not recorded."""
+        """Add a body that is deformed by recorded bones; False if its file has no skin or the bones were not recorded."""
         column = f"rig.{rig['id']}"
         skin = self.library.skinned(ref) if column in self.recording.columns else None
         if skin is None:
@@ -216,7 +216,7 @@ class PosedRecording:
                 )
 
     def _require_motion(self, index: int, model: Robot | Humanoid) -> None:
-        """Raises a FormatError if an agent has a model but lacks the columns that move it."""
+        """Raise a FormatError if an agent has a model but lacks the columns that move it."""
         columns, prefix = self.recording.columns, f"agent_{index}."
         needed = ("motion_id", "motion_phase", "motion_blend")
         if isinstance(model, Robot):
@@ -233,7 +233,7 @@ class PosedRecording:
             )
 
     def model(self, agent: int) -> Robot | Humanoid:
-        """The built-in model of an agent."""
+        """Return the built-in model of an agent."""
         if agent not in self._models:  # to find a robot again, its files are looked at
             self._models[agent] = self._load_model(agent)
         return self._models[agent]
@@ -295,7 +295,7 @@ class PosedRecording:
         return {}
 
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """Matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4]; NaN where it was absent."""
+        """Return matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4]; NaN where it was absent."""
         rows = np.arange(len(self)) if steps is None else np.asarray(steps)
         track = self._tracks[index]
         if isinstance(track, BodyTrack):
@@ -395,7 +395,7 @@ class PosedRecording:
         return roots
 
     def row(self, step: int) -> int:
-        """The row of ``step`` in the recording's columns; negative steps count from the end.
+        """Return the row of ``step`` in the recording's columns; negative steps count from the end.
 
         Raises:
             InputError: there is no such step.
@@ -414,7 +414,7 @@ class PosedRecording:
         )
 
     def at(self, step: int) -> State:
-        """The state after action ``step``; negative steps count from the end."""
+        """Return the state after action ``step``; negative steps count from the end."""
         step = self.row(step)
         poses = {}
         for index, drawable in enumerate(self._drawables):
@@ -434,7 +434,7 @@ class PosedRecording:
 
 
 def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints | None:
-    """The joints of the home whose positions were recorded; None if there are none.
+    """Return the joints of the home whose positions were recorded; None if there are none.
 
     Raises:
         FormatError: the recording has another number of them than the home.
@@ -451,7 +451,7 @@ def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints |
 
 
 def _matrix(body: Body) -> Array:
-    """Matrix [4, 4] from mesh to world of a body at its first pose."""
+    """Return the matrix [4, 4] from mesh to world of a body at its first pose."""
     # a body that is absent at first has no pose there
     matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
     matrix[:3, :3] *= body.scale

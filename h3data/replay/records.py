@@ -106,7 +106,7 @@ class CameraTrack:
     """True if `resized` may cut off the top and bottom of the picture; False: a view of the whole home stays one."""
 
     def at(self, step: int) -> Camera:
-        """The camera at one step."""
+        """Return the camera at one step."""
         # a static camera has one pose
         camera = self.camera.at(self.poses[min(step, len(self.poses) - 1)])
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
@@ -117,7 +117,7 @@ class CameraTrack:
 
 
 def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows [T, n] with rows that contain NaN (absent agents) replaced by the last finite row, or the first at the start.
+    """Return rows [T, n] with rows that contain NaN (absent agents) replaced by the last finite row, or the first at the start.
 
     Raises:
         InputError: no row is finite.

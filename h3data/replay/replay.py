@@ -36,7 +36,7 @@ class Replay(PosedRecording):
         threads: int = 1,
         backend: FrameBackend = "cpu",
     ) -> Iterator[tuple[int, list[dict[str, NDArray[Any]]]]]:
-        """Yields ``(step, [outputs of each camera])`` in the order of ``steps``.
+        """Yield ``(step, [outputs of each camera])`` in the order of ``steps``.
 
         Only a few frames are rendered ahead, so memory does not grow with the length of the recording. The images do not
         depend on the number of ``threads``. ``backend`` is ``cpu``, ``gpu`` (h3data docs gpu), or ``auto``: a GPU if there

@@ -37,7 +37,7 @@ def robot_rig(robot: Robot) -> dict[str, Any]:
 
 
 def joint_rigs(scene: Scene, *, movable: Container[str] = ()) -> list[dict[str, Any]]:
-    """Joints of a scene in their order, all in the world as the scene has it, as ``web/src/scene/joints.ts`` reads them.
+    """Return joints of a scene in their order, all in the world as the scene has it, as ``web/src/scene/joints.ts`` reads them.
 
     Args:
         scene: The scene.

@@ -57,7 +57,7 @@ class ShadowCasters:
 def shadow_casters(
     field: LightField, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], agents: Mapping[int, int]
 ) -> ShadowCasters:
-    """The casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
+    """Return the casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
     members = np.full(len(instances), -1, np.int64)
     local = np.full((len(instances), 7), np.nan)
     first_thing = max(agents.values(), default=-1) + 1
@@ -79,7 +79,10 @@ def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArr
 
 
 def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.float64]:
-    """A capsule along the longest side of a box, as thick as its cross-section is large, shape [7]; NaN for an empty box."""
+    """Return a capsule along the longest side of a box, as thick as its cross-section is large, shape [7].
+
+    An empty box has a capsule of NaN.
+    """
     size, middle = np.subtract(high, low), np.add(low, high) / 2
     if not np.isfinite(size).all() or size.max() <= 0:
         return np.full(7, np.nan)

@@ -52,7 +52,7 @@ class Sight:
         self._turns = np.stack([look_at(np.zeros(3), out)[:3, :3] for out in self._outward])
 
     def at(self, step: int) -> None:
-        """Moves all obstacles to their poses at a step."""
+        """Move all obstacles to their poses at a step."""
         if len(self._moving):
             rows = np.array([step])
             matrices = np.stack([self.replay.matrices(int(index), rows)[0] for index in self._moving])
@@ -66,13 +66,13 @@ class Sight:
         return _with_inf(self._renderer.render_batch(cameras, outputs=("depth",))["depth"])
 
     def free_ahead(self, point: Array, direction: Array, max_m: float) -> float:
-        """Length of the free line from ``point`` [3] along the unit ``direction`` [3], at most ``max_m`` [m]."""
+        """Return the length of the free line from ``point`` [3] along the unit ``direction`` [3], at most ``max_m`` [m]."""
         camera = self._ahead.at(look_at(point, point + direction))
         depth = _with_inf(self._renderer.render(camera, outputs=("depth",))["depth"])
         return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
     def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Returns whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
+        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
         # 10 cm of slack: a point on a surface would hide itself
@@ -104,7 +104,7 @@ class Fan:
         self._beam = Beam(sight._side.rays()[1][self._v, self._u], axes, sight._side.fx)
 
     def free(self, panorama: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
-        """Length [D] of the free line along each direction, at most ``max_m`` [m]."""
+        """Return the length [D] of the free line along each direction, at most ``max_m`` [m]."""
         return self._beam.free(panorama[self._side[:, None], self._v, self._u], max_m)
 
 
@@ -127,5 +127,5 @@ class Beam:
 
 
 def _with_inf(depth: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Depth with infinity instead of 0 for misses."""
+    """Return the depth with infinity instead of 0 for misses."""
     return np.where(depth > 0, depth, np.inf).astype(np.float64)

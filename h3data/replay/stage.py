@@ -27,9 +27,9 @@ from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
 WORLDS = 32
-"""Steps that a GPU draws at once, each in a world of its own."""
+"""Number of steps that a GPU draws at once, each in a world of its own."""
 JOINT_STEPS = 64
-"""Steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
+"""Number of steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
 Images = list[dict[str, NDArray[Any]]]
 """Images of each camera, by output."""
@@ -60,7 +60,7 @@ class _HostCopies:
         self._buffers: dict[tuple[int, str], Any] = {}
 
     def copied(self, camera: int, drawn: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """A camera's outputs [N, H, W, ...] as arrays, which are valid until the next call for this camera."""
+        """Return a camera's outputs [N, H, W, ...] as arrays, which are valid until the next call for this camera."""
         arrays: dict[str, NDArray[Any]] = {}
         devices: set[Any] = set()
         for name, array in drawn.items():
@@ -115,7 +115,7 @@ class Stage:
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
     def _bake(self) -> None:
-        """Replaces static meshes by ones that carry the light of the scene."""
+        """Replace static meshes by ones that carry the light of the scene."""
         static = [
             k
             for k, track in enumerate(self.replay.tracks)
@@ -132,7 +132,7 @@ class Stage:
             self._casters = shadow_casters(lit.field, self._meshes, self._instances, agents)
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
-        """Adds an instance of drawable ``index``; returns the index of its mesh."""
+        """Add an instance of drawable ``index``; return the index of its mesh."""
         slot = self._slots.get(id(mesh), len(self._meshes)) if shared else len(self._meshes)
         if slot == len(self._meshes):
             self._meshes.append(mesh)
@@ -153,7 +153,7 @@ class Stage:
         return slot
 
     def _person(self, index: int, agent: int, skin: _Skin) -> _Person:
-        """A person with one mesh if the replay's ``detail`` is fixed, else with both."""
+        """Return a person with one mesh if the replay's ``detail`` is fixed, else with both."""
         body = self.replay.model(agent)
         assert isinstance(body, Humanoid)
         if self.replay.detail is not None:
@@ -162,7 +162,7 @@ class Stage:
         return _Person(body, agent, skin, _Skin(instance, self._add(index, body.lod_mesh, shared=False)))
 
     def _find_movers(self) -> None:
-        """Tabulates moving bodies and links, so that a step is posed by a few array operations."""
+        """Tabulate moving bodies and links, so that a step is posed by a few array operations."""
         tracks = list(enumerate(self.replay.tracks))
         bodies = [(i, t) for i, t in tracks if isinstance(t, BodyTrack)]
         self._bodies = np.array([i for i, _ in bodies], np.intp)
@@ -185,7 +185,7 @@ class Stage:
 
     # --- images -------------------------------------------------------------------------------------------------------
     def renderer(self, backend: Backend = "cpu", *, worlds: int = 1) -> Renderer:
-        """A renderer for one thread, to be passed to `render`, or with worlds to `render_steps`."""
+        """Return a renderer for one thread, to be passed to `render`, or with worlds to `render_steps`."""
         return Renderer(self.scene, light=self._light, backend=backend, worlds=worlds)
 
     def render(
@@ -197,7 +197,7 @@ class Stage:
         outputs: Sequence[Output],
         samples: Literal[1, 4] = 1,
     ) -> Images:
-        """The outputs of each camera at ``step``, by a renderer of this stage."""
+        """Return the outputs of each camera at ``step``, by a renderer of this stage."""
         people = self._pose(renderer, step, outputs)
         posed: set[_Skin] = set()
         images = []
@@ -293,7 +293,7 @@ class Stage:
         then: Callable[[int, Images], Any] | None = None,
         backend: FrameBackend = "cpu",
     ) -> Iterator[tuple[int, Any]]:
-        """Yields ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
+        """Yield ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
 
         ``then`` runs in the thread that rendered the images, or in one of the threads beside a GPU, e.g. to encode them in
         parallel; it must not keep them, as a GPU's later images take their place. ``backend`` as of `chosen_backend`.
@@ -388,7 +388,7 @@ def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
 def _show(
     renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin], *, world: int = 0
 ) -> None:
-    """Shows the mesh that suits ``camera`` of a person with joint matrices [1, 55, 4, 4].
+    """Show the mesh that suits ``camera`` of a person with joint matrices [1, 55, 4, 4].
 
     ``posed`` collects the meshes that have this step's vertices already.
     """

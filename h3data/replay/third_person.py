@@ -21,14 +21,15 @@ from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
-PIVOT_M = {"robot": 0.55, "human": 1.25}
-"""Height above the floor of the point on the agent that the camera keeps in sight, by kind of agent [m]."""
-
 
 @dataclass(frozen=True)
 class FramingSpec:
     """Constants of the camera that follows an agent."""
 
+    robot_m: float = 0.55
+    """Height above the floor of the point on a robot that the camera keeps in sight [m]."""
+    person_m: float = 1.25
+    """Height above the floor of the point on a person that the camera keeps in sight [m]."""
     boom_m: float = 2.6
     """Distance from the agent if there is enough space."""
     nearest_m: float = 1.0
@@ -99,7 +100,7 @@ def third_person_at(
     height: int = 480,
     around_s: float = FRAMING.around_s,
 ) -> Camera:
-    """The camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
+    """Return the camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
 
     The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes. With
     ``around_s=0`` it is the best view of this step alone, in 0.02 s, for a picture that is part of no video.
@@ -154,7 +155,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
         other = None  # absent throughout
     base = forward_fill(recording.agent_column(leader, "base_pose").astype(np.float64))
-    pivot = base[:, :3] + (0.0, PIVOT_M.get(kinds[leader], PIVOT_M["robot"]), 0.0)
+    pivot = base[:, :3] + (0.0, FRAMING.person_m if kinds[leader] == "human" else FRAMING.robot_m, 0.0)
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
     person = (
         None if other is None else forward_fill(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]
@@ -247,7 +248,7 @@ def _follow(
 
 
 def _first_body(start: Array, directions: Array, length: Array, bodies: Array) -> NDArray[np.float64]:
-    """Distances [D] from ``start`` [3] at which lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
+    """Return distances [D] from ``start`` [3] at which lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
 
     The lines have unit ``directions`` [D, 3], none of them vertical, and ``length`` [D] [m].
     """
@@ -267,7 +268,7 @@ def _direction(azimuth: Array, elevation: Array) -> Array:
 
 
 def _angle(start: Array, end: Array) -> NDArray[np.float64]:
-    """Angles [...] between directions [..., 3] [rad]."""
+    """Return angles [...] between directions [..., 3] [rad]."""
     return np.arccos(np.clip(np.einsum("...i,...i->...", normalized(start), normalized(end)), -1.0, 1.0))
 
 
@@ -289,7 +290,7 @@ def _towards(start: Array, end: Array, angle: Array) -> Array:
 
 
 def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:
-    """Direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
+    """Return the direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
     # the smaller of the two turns
     step = (azimuth[:, None] - azimuth[None] + np.pi) % (2 * np.pi) - np.pi
     # a radian between two keys costs 7.2, where scores are about 1: the camera turns slowly or for good reasons

@@ -13,10 +13,9 @@ Names are imported at first use, because free space needs numba and shapely.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from h3data.moved import RENAMED, refuse_renamed
+from h3data.moved import lazy_names
 
 if TYPE_CHECKING:
     from h3data.mesh.mesh import Mesh, Texture
@@ -44,21 +43,6 @@ if TYPE_CHECKING:
     )
     from h3data.scene.scene_file import load_scene, save_scene
     from h3data.scene.scene_json import scene_digest
-
-_MODULE_OF = {
-    name: module
-    for module, names in {
-        "h3data.mesh.mesh": "Mesh Texture",
-        "h3data.scene.articulation": "joint_names opened posed",
-        "h3data.scene.freespace.free_space": "FreeSpace",
-        "h3data.scene.kinds": "CATEGORIES",
-        "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
-        "Ramp Receptacle Room Scene Shape instance_bounds instance_matrix",
-        "h3data.scene.scene_file": "load_scene save_scene",
-        "h3data.scene.scene_json": "scene_digest",
-    }.items()
-    for name in names.split()
-}
 
 __all__ = [
     "CATEGORIES",
@@ -90,10 +74,36 @@ __all__ = [
     "scene_digest",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if f"{__name__}.{name}" in RENAMED:
-        return refuse_renamed(__name__)(name)
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'h3data.scene' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        **dict.fromkeys(("Mesh", "Texture"), "h3data.mesh.mesh"),
+        **dict.fromkeys(("joint_names", "opened", "posed"), ".articulation"),
+        "FreeSpace": ".freespace.free_space",
+        "CATEGORIES": ".kinds",
+        **dict.fromkeys(
+            (
+                "Articulation",
+                "Asset",
+                "Box",
+                "Capsule",
+                "Cylinder",
+                "Hull",
+                "Instance",
+                "Joint",
+                "LightSource",
+                "Part",
+                "Ramp",
+                "Receptacle",
+                "Room",
+                "Scene",
+                "Shape",
+                "instance_bounds",
+                "instance_matrix",
+            ),
+            ".records",
+        ),
+        **dict.fromkeys(("load_scene", "save_scene"), ".scene_file"),
+        "scene_digest": ".scene_json",
+    },
+)

@@ -19,7 +19,7 @@ from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_p
 from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
 
 AJAR = 0.6
-"""Share of its range from which on a part is open, so that hands get in."""
+"""Share of the range of a joint from which on its part is open, so that hands get in."""
 
 ON_M, STACK_M = 0.02, 0.1
 """Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
@@ -46,7 +46,7 @@ class SceneJoints:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Number of a joint.
+        """Return the number of a joint.
 
         Raises:
             InputError: there is none of this name.
@@ -58,7 +58,7 @@ class SceneJoints:
         return self.names.index(name)
 
     def shares(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """Returns how far joints at ``positions`` [..., J] are open, 0..1."""
+        """Return how far joints at ``positions`` [..., J] are open, 0..1."""
         return (np.asarray(positions, np.float64) - self.closed) / (self.opened - self.closed)
 
     def is_open(self, positions: ArrayLike) -> NDArray[np.bool_]:
@@ -89,7 +89,7 @@ class SceneJoints:
 
 
 def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices [..., 4, 4] in the frame of the thing, of a joint that has moved ``by`` [...] from its rest position."""
+    """Return matrices [..., 4, 4] in the frame of the thing, of a joint that has moved ``by`` [...] from its rest position."""
     joint = part.joint
     # an identity for each, filled in by hand because ``np.eye`` makes one only
     out = np.zeros((*by.shape, 4, 4))
@@ -108,7 +108,7 @@ def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def joints_of(scene: Scene) -> SceneJoints:
-    """The joints of a scene, collected once."""
+    """Return the joints of a scene, collected once."""
     return _collected(scene) if scene.articulations else _NONE
 
 
@@ -142,7 +142,7 @@ def joint_names(scene: Scene) -> tuple[str, ...]:
 
 
 def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
-    """The scene with its joints at other positions: the same, but for the poses of what moves and the rest positions.
+    """Return the scene with its joints at other positions: the same, but for the poses of what moves and the rest positions.
 
     Args:
         scene: The scene.
@@ -240,7 +240,7 @@ def rests_on(
 
 
 def handle_points(scene: Scene) -> NDArray[np.float64]:
-    """Returns the points at which hands hold each part, in the world with all joints at rest, shape [J, 3] [m].
+    """Return the points at which hands hold each part, in the world with all joints at rest, shape [J, 3] [m].
 
     Where the scene does not say, the middle of the side of the part that moves most: the edge of a door far from its
     hinge, the front of a drawer.

@@ -24,7 +24,7 @@ LEVEL: NDArray[np.float64] = np.zeros((0, COLUMNS))
 
 
 def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
-    """The table of heights [K, 10] of rooms that stairs join; `LEVEL` if there are no stairs."""
+    """Return the table of heights [K, 10] of rooms that stairs join; `LEVEL` if there are no stairs."""
     rooms = tuple(rooms)
     # rooms at several heights without stairs are separate floors, of which an agent stays on one
     if all(room.ramp is None for room in rooms):
@@ -51,7 +51,7 @@ def flight_rectangle(row: NDArray[np.float64]) -> tuple[float, float, float, flo
 
 @kernel_part()
 def _nearest(heights, x, z):
-    """The row whose rectangle is nearest to a place."""
+    """Return the row whose rectangle is nearest to a place."""
     best, least = 0, math.inf
     for k in range(len(heights)):
         dx = max(heights[k, X0] - x, x - heights[k, X1], 0.0)
@@ -67,7 +67,7 @@ def _nearest(heights, x, z):
 
 @kernel_part()
 def height_at(heights, floor_y, x, z):
-    """Height of the floor at (x, z) [m], stairs as ramps; ``floor_y`` where the table is empty."""
+    """Return the height of the floor at (x, z) [m], stairs as ramps; ``floor_y`` where the table is empty."""
     if heights.shape[0] == 0:
         return floor_y
     k = _nearest(heights, x, z)
@@ -118,7 +118,10 @@ def tread_at(heights, floor_y, x, z):
 
 @kernel_part()
 def nose_at(heights, floor_y, x, z):
-    """Height [m] of the plane through the noses of the steps at (x, z), no lower than a tread; the floor off the stairs."""
+    """Return the height [m] of the plane through the noses of the steps at (x, z), no lower than a tread.
+
+    Off the stairs this is the height of the floor.
+    """
     k, tread, place = step_at(heights, x, z)
     if k < 0:
         return height_at(heights, floor_y, x, z)
@@ -171,7 +174,7 @@ def _measured(heights: NDArray[np.float64], floor_y: float, points: ArrayLike, w
 def floor_heights(
     heights: NDArray[np.float64], floor_y: float, points: ArrayLike, *, treads: bool = False
 ) -> NDArray[np.float64]:
-    """Heights [...] [m] of the floor at places (x, z) [..., 2]: stairs are ramps, or steps with ``treads``.
+    """Return heights [...] [m] of the floor at places (x, z) [..., 2]: stairs are ramps, or steps with ``treads``.
 
     Args:
         heights: A table of heights [K, 10] (`room_heights`).
@@ -183,7 +186,10 @@ def floor_heights(
 
 
 def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike) -> NDArray[np.float64]:
-    """Heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2]; of the floor off the stairs."""
+    """Return heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2].
+
+    Off the stairs these are the heights of the floor.
+    """
     return _measured(heights, floor_y, points, _NOSES)
 
 

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.builtin import builtin_root
-
-if TYPE_CHECKING:
-    from h3data.scene.records import Scene
 
 Grasp = Literal["body", "rim", "handle", "top", "edge", "none"]
 """Part that a hand takes hold of: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
@@ -67,20 +64,11 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
 "unlabelled"."""
 
 
-def categories_of(scene: Scene) -> list[str]:
-    """Names of the semantic classes that a scene may have, in the order of their ids.
-
-    For homes these are the classes of their generation, with those of stairs where there are several storeys; for all other
-    scenes those of the first generation.
-    """
-    # scenes of other makers get ids from the first generation, by the names of their categories
-    home = scene.source if scene.source.get("kind") == "home" else {}
-    generation, storeys = home.get("generation", 1), home.get("storeys", 1)
-    return [kind.name for kind in KINDS.values() if kind.generation <= generation and kind.storeys <= storeys]
-
-
 def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up; its middle where a handle is not known."""
+    """Return the point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up.
+
+    This is the middle of the box where a handle is not known.
+    """
     low, high = bounds
     middle = (low + high) / 2
     # the front is +z in the frame of a kind: a point of the rim at its side, and the middle of the front edge

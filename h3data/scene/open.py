@@ -46,7 +46,7 @@ def named_scenes(
     strict: bool = False,
     allow_missing: bool = False,
 ) -> tuple[NamedScene, ...]:
-    """The scenes that ``text`` means; the other options are those of `SceneFile`.
+    """Return the scenes that ``text`` means; the other options are those of `SceneFile`.
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
     opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test`` or ``my.toml`` (all
@@ -66,7 +66,7 @@ def named_scenes(
 
 
 def is_builtin_name(text: str) -> bool:
-    """Returns whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
+    """Return whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):
         # a file of this name comes first, as for everything that takes a path or a name
         return not Path(text).exists()
@@ -75,7 +75,7 @@ def is_builtin_name(text: str) -> bool:
 
 
 def preset_names() -> list[str]:
-    """Names of which each stands for one generated scene per seed, such as ``small``."""
+    """Return names of which each stands for one generated scene per seed, such as ``small``."""
     return [name for generator in scene_generators().values() for name in generator.names]
 
 
@@ -94,7 +94,7 @@ def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str
 
 
 def open_scene_path(path: str) -> Any:
-    """The scene in a file, or whatever stands for a file that holds several; None if it is by its name no scene file.
+    """Return the scene in a file, or whatever stands for a file that holds several; None if it is by its name no scene file.
 
     Raises:
         SceneError, FormatError: it cannot be read.
@@ -109,7 +109,7 @@ def open_scene_path(path: str) -> Any:
 
 
 def _generated(text: str, count: int) -> tuple[NamedScene, ...]:
-    """The scenes of a name (``count``) or of a name and a seed (one); none if no generator knows the name."""
+    """Return the scenes of a name (``count``) or of a name and a seed (one); none if no generator knows the name."""
     name, colon, seed = text.partition(":")
     for generator in scene_generators().values():
         if name in generator.names and (not colon or re.fullmatch(r"[0-9]{1,18}", seed)):
@@ -165,7 +165,7 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
 
 @lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time
 def open_scene(source: SceneSource) -> Scene:
-    """The scene itself; equal sources give the same object while it is in use.
+    """Return the scene itself; equal sources give the same object while it is in use.
 
     Raises:
         SceneError, FormatError: it cannot be made or read.
@@ -175,7 +175,7 @@ def open_scene(source: SceneSource) -> Scene:
 
 @lru_cache(maxsize=64)
 def open_free_space(source: SceneSource, radius_m: float, height_m: float) -> FreeSpace:
-    """The free floor of `open_scene`'s scene for an agent of that size [m]."""
+    """Return the free floor of `open_scene`'s scene for an agent of that size [m]."""
     from h3data.scene.freespace.free_space import FreeSpace
 
     return FreeSpace.from_scene(open_scene(source), radius_m=radius_m, height_m=height_m)

@@ -42,7 +42,7 @@ def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
 
 
 def passable(scene: Scene, free: FreeSpace) -> Scene:
-    """The scene with the doors between its rooms open; the scene itself where there are none that are closed."""
+    """Return the scene with the doors between its rooms open; the scene itself where there are none that are closed."""
     doors = list(passages(scene, free))
     joints = joints_of(scene)
     positions = joints.rest.copy()
@@ -58,14 +58,14 @@ def outlines(scene: Scene, k: int, positions: ArrayLike) -> list[Polygon]:
 
 
 def _shapes(scene: Scene, k: int) -> list[tuple[NDArray[np.float64], Shape]]:
-    """The shapes of a part, each with the matrix that puts it into the world with the joints at rest."""
+    """Return the shapes of a part, each with the matrix that puts it into the world with the joints at rest."""
     own = set(joints_of(scene).parts[k][1].instances)
     moved = [i for i in scene.static_instances if i.name in own]
     return [(instance_matrix(i), shape) for i in moved for shape in scene.assets[i.asset].shapes]
 
 
 def _is_tall(scene: Scene, k: int, floor_y: float) -> bool:
-    """Returns whether a part reaches from near the floor to over most heads."""
+    """Return whether a part reaches from near the floor to over most heads."""
     bounds = np.array([shape_bounds(shape, matrix) for matrix, shape in _shapes(scene, k)]).reshape(-1, 2, 3)
     if not len(bounds):
         return False

@@ -297,7 +297,7 @@ class Scene:
                 f"Scene {self.name!r}: instance names must be unique, these are not: {repeated[:5]}.",
                 code="H3-SCENE-046",
             )
-        if self.articulations and (fault := _articulation_fault(self)):
+        if self.articulations and (fault := self._articulation_fault()):
             raise SceneError(f"Scene {self.name!r}: {fault}.", code="H3-SCENE-047")
 
     @property
@@ -328,38 +328,37 @@ class Scene:
             f"{len(self.rooms)} rooms)"
         )
 
-
-def _articulation_fault(scene: Scene) -> str:
-    """The first fault of the scene's articulated things, or nothing."""
-    # ``moved`` goes through all things and ``before`` through the parts of one: names of parts repeat from thing to thing
-    names, moved = {i.name for i in scene.instances}, set[str]()
-    if len({a.name for a in scene.articulations}) < len(scene.articulations):
-        return "articulated things must have different names"
-    for thing in scene.articulations:
-        if np.shape(thing.pose) != (7,) or not np.isfinite(thing.pose).all():
-            return f"the pose of {thing.name!r} must be 7 finite numbers"
-        if not thing.parts:
-            return f"{thing.name!r} has no moving parts"
-        if thing.base and thing.base not in names:
-            return f"the base of {thing.name!r} is no instance: {thing.base!r}"
-        before: set[str] = set()
-        for part in thing.parts:
-            joint = f"{thing.name}/{part.name}"
-            if part.name in before:
-                return f"two parts are called {joint!r}"
-            if part.parent and part.parent not in before:
-                return f"{joint!r} hangs on {part.parent!r}, which is no part before it"
-            if unknown := sorted(set(part.instances) - names):
-                return f"{joint!r} moves instances that do not exist: {unknown[:5]}"
-            if twice := sorted(
-                moved.intersection((*part.instances, thing.base)) | ({thing.base} & set(part.instances))
-            ):
-                return f"{joint!r} moves what another part moves or what stands still: {twice[:5]}"
-            if part.handle is not None and (np.shape(part.handle) != (3,) or not np.isfinite(part.handle).all()):
-                return f"the handle of {joint!r} must be 3 finite numbers"
-            before.add(part.name)
-            moved |= set(part.instances)
-    return ""
+    def _articulation_fault(self) -> str:
+        """Return the first fault of the scene's articulated things, or nothing."""
+        # ``moved`` goes through all things and ``before`` through the parts of one: names of parts repeat from thing to thing
+        names, moved = {i.name for i in self.instances}, set[str]()
+        if len({a.name for a in self.articulations}) < len(self.articulations):
+            return "articulated things must have different names"
+        for thing in self.articulations:
+            if np.shape(thing.pose) != (7,) or not np.isfinite(thing.pose).all():
+                return f"the pose of {thing.name!r} must be 7 finite numbers"
+            if not thing.parts:
+                return f"{thing.name!r} has no moving parts"
+            if thing.base and thing.base not in names:
+                return f"the base of {thing.name!r} is no instance: {thing.base!r}"
+            before: set[str] = set()
+            for part in thing.parts:
+                joint = f"{thing.name}/{part.name}"
+                if part.name in before:
+                    return f"two parts are called {joint!r}"
+                if part.parent and part.parent not in before:
+                    return f"{joint!r} hangs on {part.parent!r}, which is no part before it"
+                if unknown := sorted(set(part.instances) - names):
+                    return f"{joint!r} moves instances that do not exist: {unknown[:5]}"
+                if twice := sorted(
+                    moved.intersection((*part.instances, thing.base)) | ({thing.base} & set(part.instances))
+                ):
+                    return f"{joint!r} moves what another part moves or what stands still: {twice[:5]}"
+                if part.handle is not None and (np.shape(part.handle) != (3,) or not np.isfinite(part.handle).all()):
+                    return f"the handle of {joint!r} must be 3 finite numbers"
+                before.add(part.name)
+                moved |= set(part.instances)
+        return ""
 
 
 def instance_matrix(instance: Instance) -> NDArray[np.float64]:

@@ -68,7 +68,7 @@ def _linear_of_srgb() -> NDArray[np.uint16]:
 
 
 def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Nearest 8-bit sRGB values; exact for values written by `save_scene`."""
+    """Return the nearest 8-bit sRGB values; exact for values written by `save_scene`."""
     table = _linear_of_srgb().astype(np.int32)
     # values of other writers lie between ours, and take the nearer one
     middles = (table[1:] + table[:-1]) // 2
@@ -86,7 +86,7 @@ class _Textures:
         self.materials: list[dict[str, Any]] = [{"name": "vertex colours", "pbrMetallicRoughness": matte()}]
 
     def index(self, texture: Texture) -> int:
-        """Index of the texture in the file; its material has the next index, since material 0 has no texture."""
+        """Return the index of the texture in the file; its material has the next index, since material 0 has no texture."""
         # by identity: meshes that share a texture share the object
         if id(texture) not in self._place:
             place = self._place[id(texture)] = len(self.images)
@@ -127,7 +127,7 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
     if mesh.uv is not None:
         out["TEXCOORD_0"] = chunk.vectors(mesh.uv)
     if len(mesh.faces):
-        faces = mesh.faces if mesh.face_textures is None else mesh.faces[_by_texture(mesh.face_textures)]
+        faces = mesh.faces if mesh.face_textures is None else mesh.faces[np.argsort(mesh.face_textures, kind="stable")]
         out["indices"] = chunk.triangles(faces)
     if mesh.textures:
         out["textures"] = [textures.index(t) for t in mesh.textures]
@@ -136,12 +136,8 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
     return out
 
 
-def _by_texture(face_textures: NDArray[np.int16]) -> NDArray[np.int64]:
-    return np.argsort(face_textures, kind="stable")
-
-
 def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[dict[str, Any]]:
-    """The primitives that viewers show: one for all triangles, or one per texture."""
+    """Return the primitives that viewers show: one for all triangles, or one per texture."""
     attributes = {name: index for name, index in accessors.items() if name.isupper()}
     materials = [*(1 + k for k in accessors.get("textures", [])), 0]  # the last one serves texture -1
     if mesh.face_textures is None:
@@ -157,7 +153,7 @@ def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[
 
 
 def scene_bytes(scene: Scene) -> bytes:
-    """The scene as the bytes of one GLB; the same scene gives the same bytes."""
+    """Return the scene as the bytes of one GLB; the same scene gives the same bytes."""
     chunk = GlbChunk()
     textures = _Textures(chunk)
     records, meshes, mesh_of = [], [], {}
@@ -214,7 +210,7 @@ def scene_bytes(scene: Scene) -> bytes:
 
 
 def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) -> None:
-    """Writes a scene as GLB to a path (atomically, through ``.part``) or into an open binary file."""
+    """Write a scene as GLB to a path (atomically, through ``.part``) or into an open binary file."""
     data = scene_bytes(scene)
     if not isinstance(path_or_buffer, str | os.PathLike):
         path_or_buffer.write(data)
@@ -231,7 +227,7 @@ def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
 def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scene:
-    """The scene of a GLB written by `save_scene`, equal to the one saved (`scene_digest` tells)."""
+    """Return the scene of a GLB written by `save_scene`, equal to the one saved (`scene_digest` tells)."""
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
         data, where = bytes(path_or_bytes), "the given bytes"
     elif isinstance(path_or_bytes, str | os.PathLike):
@@ -271,7 +267,7 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
 
 
 def _accessor(arrays: GltfArrays, index: object, kind: str, component: int) -> NDArray[Any]:
-    """One accessor, of the kind that we write."""
+    """Return one accessor, of the kind that we write."""
     record = entry(arrays.document, "accessors", index)
     if (record.get("type"), record.get("componentType")) != (kind, component):
         raise ValueError(
@@ -300,7 +296,7 @@ def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture
         face_textures = _accessor(arrays, accessors["face_textures"], "SCALAR", INT16).astype(np.int16)
         # the same stable order as in `_add_mesh`, undone
         ordered, faces = faces, np.empty_like(faces)
-        faces[_by_texture(face_textures)] = ordered
+        faces[np.argsort(face_textures, kind="stable")] = ordered
     color = _accessor(arrays, accessors["COLOR_0"], "VEC4", UINT16)
     return Mesh(
         vertices=_accessor(arrays, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),

@@ -73,7 +73,7 @@ _SHAPE_READERS: Mapping[str, Callable[[dict[str, Any]], Shape]] = {
 
 
 def asset_record(asset: Asset, mesh: dict[str, Any] | None) -> dict[str, Any]:
-    """An asset as plain JSON, without its arrays; ``mesh`` names the accessors and textures that hold them."""
+    """Return an asset as plain JSON, without its arrays; ``mesh`` names the accessors and textures that hold them."""
     return {
         "name": asset.name,
         "category": asset.category,
@@ -93,7 +93,7 @@ def asset_record(asset: Asset, mesh: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def instance_record(i: Instance) -> dict[str, Any]:
-    """An instance as plain JSON."""
+    """Return an instance as plain JSON."""
     record = {
         "name": i.name,
         "asset": i.asset,
@@ -123,7 +123,7 @@ def read_instance(record: dict[str, Any]) -> Instance:
 
 
 def room_record(r: Room) -> dict[str, Any]:
-    """A room as plain JSON."""
+    """Return a room as plain JSON."""
     record: dict[str, Any] = {
         "name": r.name,
         "category": r.category,
@@ -161,7 +161,7 @@ def _read_ramp(record: dict[str, Any]) -> Ramp:
 
 
 def light_record(light: LightSource) -> dict[str, Any]:
-    """A light as plain JSON."""
+    """Return a light as plain JSON."""
     return {
         "name": light.name,
         "kind": light.kind,
@@ -191,7 +191,7 @@ def read_light(record: dict[str, Any]) -> LightSource:
 
 
 def articulation_record(thing: Articulation) -> dict[str, Any]:
-    """An articulated thing as plain JSON."""
+    """Return an articulated thing as plain JSON."""
     return {
         "name": thing.name,
         "pose": floats(thing.pose),

@@ -29,7 +29,7 @@ class SceneEntry:
     """Scene of a set."""
 
     id: str
-    """Unique in its set and stable when scenes are added."""
+    """Name of the scene, unique in its set and unchanged when scenes are added."""
     source: SceneSource
 
 
@@ -87,7 +87,7 @@ class SceneSet:
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
 
     def entry(self, which: str) -> SceneEntry:
-        """The scene with a number (``3``) or an id (``test_03``)."""
+        """Return the scene with a number (``3``) or an id (``test_03``)."""
         # a number first: ids have letters as a rule, and one that is a number beyond the last scene can still be found
         if which.isdecimal() and int(which) < len(self.scenes):
             return self.scenes[int(which)]
@@ -103,7 +103,7 @@ class SceneSet:
 
 # --- lookup by name ---------------------------------------------------------------------------------------------------
 def builtin_sets() -> Mapping[str, tuple[str, ...]]:
-    """Splits of the sets that ship with h3data by set name, in the order train, val, test, others.
+    """Return splits of the sets that ship with h3data by set name, in the order train, val, test, others.
 
     A set is a folder with a card (README.md).
     """
@@ -117,7 +117,7 @@ def builtin_sets() -> Mapping[str, tuple[str, ...]]:
 
 
 def find_scene_set(text: str) -> SceneSet | None:
-    """The built-in set with a label such as ``h3-homes/test``, or the set in a TOML file; None if ``text`` is neither.
+    """Return the built-in set with a label such as ``h3-homes/test``, or the set in a TOML file; None if ``text`` is neither.
 
     Raises:
         InputError: there is no such split or file.
@@ -156,7 +156,7 @@ class _SetFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def read_scene_set(path: str | Path) -> SceneSet:
-    """The set in a TOML file. Scene paths are relative to its folder or absolute; the files must exist but are not read.
+    """Return the set in a TOML file. Scene paths are relative to its folder or absolute; the files must exist but are not read.
 
     Raises:
         InputError: the file cannot be read, or the package that makes its scenes is not installed.
@@ -238,7 +238,7 @@ def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
 
 
 def _generator(record: Mapping[str, Any]) -> SceneGenerator:
-    """Returns the generator of a scene whose table names no file.
+    """Return the generator of a scene whose table names no file.
 
     Raises:
         InputError: there is no such generator, or its package is not installed.
@@ -259,7 +259,7 @@ def _checked_id(text: str) -> str:
 
 
 def _readable(fault: Exception, kind: type[msgspec.Struct]) -> str:
-    """The message of msgspec or ours, with the valid keys if a key is unknown."""
+    """Return the message of msgspec or ours, with the valid keys if a key is unknown."""
     text = str(fault).replace("`", "'").replace("$.", "").removesuffix(" - at '$'").rstrip(".")
     text = text.replace("Object contains unknown field", "unknown key").replace("Object missing required", "missing")
     valid = f" Expected: {', '.join(kind.__struct_fields__)}." if "unknown key" in text else ""

@@ -53,7 +53,7 @@ class Seat(NamedTuple):
 
 
 def seats_of(scene: Scene) -> list[Seat]:
-    """All places to sit in a home, in the order of its instances.
+    """Return all places to sit in a home, in the order of its instances.
 
     The seat is the largest top of a collision shape at a height at which people sit; its front is where the model faces (+Z).
     Beds are sat on from both sides, and sofas and benches have a place per 0.6 m.
@@ -110,7 +110,7 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, t
 
 
 def _box(shape: object, scale: Array) -> Array | None:
-    """Lowest and highest corner [2, 3] of an upright shape; None for other shapes."""
+    """Return the lowest and highest corner [2, 3] of an upright shape; None for other shapes."""
     if isinstance(shape, Cylinder):
         half = np.array([shape.radius, shape.half_height, shape.radius])
     elif isinstance(shape, Box):

@@ -11,11 +11,11 @@ from h3data.geometry import pose_to_matrix, transform_points
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
-"""Sides of the prism that stands for a cylinder."""
+"""Number of sides of the prism that stands for a cylinder."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
-    """Returns centre [3] and radius [m] of a ball around a shape, in the shape's own frame."""
+    """Return centre [3] and radius [m] of a ball around a shape, in the shape's own frame."""
     if isinstance(shape, Capsule):
         a, b = np.asarray(shape.start, np.float64), np.asarray(shape.end, np.float64)
         return (a + b) / 2, float(np.linalg.norm(b - a) / 2 + shape.radius)
@@ -30,7 +30,7 @@ def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
 
 
 def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Returns the ends [3] of the axis and the radius [m] of a capsule around a shape, in the shape's own frame.
+    """Return the ends [3] of the axis and the radius [m] of a capsule around a shape, in the shape's own frame.
 
     The axis is along the longest side of a box; the capsule of a hull is a ball.
     """
@@ -51,7 +51,7 @@ def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
-    """Returns lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it.
+    """Return lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it.
 
     They are tight for boxes and hulls, and for round shapes unless the scale is uneven.
     """
@@ -71,7 +71,7 @@ def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
 
 
 def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
-    """Returns points [N, 3] in the asset's frame whose hull is the shape; of a cylinder, a prism around it."""
+    """Return points [N, 3] in the asset's frame whose hull is the shape; of a cylinder, a prism around it."""
     if isinstance(shape, Hull):
         return np.asarray(shape.points, np.float64)
     if isinstance(shape, Box):

@@ -46,7 +46,7 @@ class SceneFile:
     """True if objects whose files are missing are left out with a warning."""
 
     def open(self) -> Scene:
-        """The scene in the file as it is now.
+        """Return the scene in the file as it is now.
 
         Raises:
             SceneError, FormatError: it cannot be read.
@@ -97,40 +97,6 @@ class SceneGenerator:
     """Help text on the names of scenes, in whole sentences, shown below their list."""
 
 
-class WriteCollection(Protocol):
-    """Writes scenes as a new collection."""
-
-    def __call__(
-        self,
-        scenes: Sequence[Scene],
-        folder: str | Path,
-        *,
-        name: str | None = None,
-        split_building: bool = False,
-        force: bool = False,
-    ) -> Path:
-        """The file of the collection in the new ``folder``; ``split_building``: walls and floors as objects of their own."""
-        ...
-
-
-class WriteScene(Protocol):
-    """Writes one scene as a file of a maker."""
-
-    def __call__(self, scene: Scene, path: Path) -> Sequence[Path]:
-        """The files that were written: ``path`` first, then those beside it."""
-        ...
-
-
-class WithObjects(Protocol):
-    """Puts objects in the places of movable things of scenes."""
-
-    def __call__(
-        self, scenes: Sequence[Scene], objects: Path, assets: Sequence[str | Path]
-    ) -> tuple[list[Scene], int, Mapping[str, Mapping[str, Any]]]:
-        """The scenes with objects of a folder, how many things were replaced, and facts of every object by name."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class SceneReader:
     """Reads scenes from files of one maker, and may write such files."""
@@ -146,12 +112,20 @@ class SceneReader:
     """Names of the scenes in such a file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
     """The mesh of an object template: `object_mesh`."""
-    write_collection: WriteCollection | None = None
-    """Writes scenes as a new collection."""
-    write_scene: WriteScene | None = None
-    """Writes one scene as a file."""
-    with_objects: WithObjects | None = None
-    """Puts objects of the maker's files in the places of movable things."""
+    write_collection: Callable[..., Path] | None = None
+    """Called as ``(scenes, folder, *, name=None, split_building=False, force=False)``: writes scenes as a new collection and
+    returns its file in the new ``folder``. ``split_building`` makes walls and floors objects of their own."""
+    write_scene: Callable[[Scene, Path], Sequence[Path]] | None = None
+    """Writes one scene as a file of the maker; returns the files that were written, the named one first."""
+    with_objects: (
+        Callable[
+            [Sequence[Scene], Path, Sequence[str | Path]],
+            tuple[list[Scene], int, Mapping[str, Mapping[str, Any]]],
+        ]
+        | None
+    ) = None
+    """Puts objects of a folder, found with the asset folders, in the places of movable things. Returns the scenes, the number
+    of things that were replaced, and facts of every object by name."""
     recognizes: Callable[[Path], bool] = lambda _: True
     """Returns whether a file with such an ending is of this maker, for endings that others use too."""
 
@@ -169,7 +143,7 @@ SCENES: Registry[SceneGenerator | SceneReader] = Registry("h3data.scenes", {}, w
 
 @cache
 def _installed(path: tuple[str, ...]) -> dict[str, SceneGenerator | SceneReader]:
-    """All entries, as of one ``sys.path``: looking for installed packages takes 30 ms."""
+    """Return all entries, as of one ``sys.path``: looking for installed packages takes 30 ms."""
     return SCENES.load_all()
 
 
@@ -184,7 +158,10 @@ def scene_readers() -> list[SceneReader]:
 
 
 def reader_of(path: str) -> SceneReader | None:
-    """The reader of a scene file, judged by its name and, where makers share an ending, its content; None if there is none."""
+    """Return the reader of a scene file, judged by its name and, where makers share an ending, its content.
+
+    The result is None if there is none.
+    """
     text = path.lower()
     fitting = (reader for reader in scene_readers() if text.endswith(tuple(reader.endings)))
     # a generator, so that a file is opened only where the ending alone does not decide
@@ -192,7 +169,7 @@ def reader_of(path: str) -> SceneReader | None:
 
 
 def scene_of(source: SceneSource) -> Scene:
-    """Makes or reads a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
+    """Make or read a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
 
     Raises:
         InputError: the package that makes such scenes is not installed.
@@ -204,7 +181,7 @@ def scene_of(source: SceneSource) -> Scene:
 
 
 def scene_files(maker: str) -> SceneReader:
-    """The reader and writer of a maker's files, such as ``habitat``.
+    """Return the reader and writer of a maker's files, such as ``habitat``.
 
     Raises:
         InputError: the package that has it is not installed.
@@ -238,7 +215,7 @@ def missing_packages() -> str:
 
 
 def _is_ours(path: Path) -> bool:
-    """Returns whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
+    """Return whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
     from h3data.mesh.glb import unpack_glb
 
     if path.suffix.lower() != ".glb" or not path.is_file():

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from h3data.plugins import import_name
+from h3data.moved import lazy_names
 from h3data.scene import FreeSpace, Scene, save_scene
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
 
@@ -22,8 +22,4 @@ __all__ = [
     "save_scene",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in ("HomeSpec", "build_home"):
-        raise AttributeError(f"module 'h3data.scenes' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return import_name("h3data_homes", name)
+__getattr__ = lazy_names(__name__, {"HomeSpec": "h3data_homes", "build_home": "h3data_homes"})

@@ -22,7 +22,7 @@ help, 50 ms of work."""
 
 
 def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Returns the Wilson score interval of a proportion, without continuity correction; NaN without trials.
+    """Return the Wilson score interval of a proportion, without continuity correction; NaN without trials.
 
     E. B. Wilson 1927, equation for p0: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n).
     """
@@ -45,7 +45,7 @@ def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) ->
 def bootstrap_interval(
     values: ArrayLike, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> tuple[float, float]:
-    """Returns the percentile bootstrap interval of the mean of ``values`` [E].
+    """Return the percentile bootstrap interval of the mean of ``values`` [E].
 
     NaN values are left out; with fewer than two left, both ends are NaN. The same seed gives the same interval.
     """
@@ -55,7 +55,7 @@ def bootstrap_interval(
 def bootstrap_intervals(
     columns: Sequence[ArrayLike], *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> list[tuple[float, float]]:
-    """Returns the `bootstrap_interval` of each of several columns [E]; those with as many values share their samples."""
+    """Return the `bootstrap_interval` of each of several columns [E]; those with as many values share their samples."""
     check_confidence(confidence)
     defined = [_defined(values) for values in columns]
     means: dict[int, NDArray[np.float64]] = {}
@@ -101,7 +101,7 @@ def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, see
 
 
 def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Returns Student's t interval of the mean of ``values`` [E]; NaN below two defined values.
+    """Return Student's t interval of the mean of ``values`` [E]; NaN below two defined values.
 
     For a few runs, such as training seeds, where a bootstrap is too narrow.
     """
@@ -128,14 +128,14 @@ class SeedSummary:
     high: float
     """Upper end of the interval."""
     seeds: int
-    """Seeds with a defined value."""
+    """Number of seeds with a defined value."""
 
     def __str__(self) -> str:
         return f"{self.mean:.3g} ± {self.std:.2g}"
 
 
 def over_seeds(values: ArrayLike, *, confidence: float = 0.95) -> SeedSummary:
-    """Returns mean ± standard deviation of one value per seed [S], as papers print it; NaN values are left out."""
+    """Return mean ± standard deviation of one value per seed [S], as papers print it; NaN values are left out."""
     v = _defined(values)
     low, high = t_interval(v, confidence=confidence)
     return SeedSummary(
@@ -148,7 +148,7 @@ def over_seeds(values: ArrayLike, *, confidence: float = 0.95) -> SeedSummary:
 
 
 def check_confidence(confidence: float) -> None:
-    """Raises an `InputError` unless ``confidence`` is a share, such as 0.95 (not 95)."""
+    """Raise an `InputError` unless ``confidence`` is a share, such as 0.95 (not 95)."""
     if not 0 < confidence < 1:
         raise InputError(f"Expected a confidence between 0 and 1, e.g. 0.95, got {confidence}.", code="H3-STATS-024")
 

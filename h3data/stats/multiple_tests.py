@@ -16,7 +16,7 @@ PAdjustment = Literal["holm", "bonferroni", "benjamini-hochberg", "none"]
 
 
 def adjust_p_values(p: ArrayLike, *, method: PAdjustment = "holm") -> NDArray[np.float64]:
-    """Returns the adjusted p values [M] of M tests, in their order; NaN stays NaN and does not count as a test.
+    """Return the adjusted p values [M] of M tests, in their order; NaN stays NaN and does not count as a test.
 
     ``holm`` and ``bonferroni`` bound the chance of any false finding (Holm 1979), ``benjamini-hochberg`` the expected
     share of false ones among the findings (1995).

@@ -18,7 +18,7 @@ from h3data.stats.intervals import bootstrap_interval
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
 _ENUMERATED = 20
-"""Differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
+"""Number of differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +38,11 @@ class PairedComparison:
     """Adjusted for all metrics compared together; equals ``p`` for a single one."""
     method: str
     effect: float
-    """See ``effect_name``; positive where the first is larger; NaN if undefined."""
+    """Size of the effect, of the kind that ``effect_name`` says; positive if the first run is larger, NaN if undefined."""
     effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
     pairs: int
     undefined: int
-    """Episodes in which one of the two values, or both, are undefined."""
+    """Number of episodes in which one of the two values, or both, are undefined."""
     notes: tuple[str, ...] = ()
     """Reservations: pairs of 0/1 values, too few pairs for a p value below .05."""
 
@@ -55,7 +55,7 @@ def compare_paired(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> PairedComparison:
-    """Compares one value per episode id of two runs.
+    """Compare one value per episode id of two runs.
 
     Methods (all two-sided) and their effect sizes:
     ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
@@ -99,10 +99,13 @@ def compare_paired(
         name = "exact permutation"
     p, effect = test(d, seed) if len(d) > 1 else (float("nan"), float("nan"))
     low, high = bootstrap_interval(d, confidence=confidence, seed=seed)
+    first_mean, second_mean, difference = (
+        float(values.mean()) if len(values) else float("nan") for values in (a, b, d)
+    )
     return PairedComparison(
-        first_mean=_mean(a),
-        second_mean=_mean(b),
-        difference=_mean(d),
+        first_mean=first_mean,
+        second_mean=second_mean,
+        difference=difference,
         low=low,
         high=high,
         p=p,
@@ -129,10 +132,6 @@ def _notes(d: NDArray[np.float64], method: PairedMethod, *, binary: bool) -> lis
     return notes
 
 
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(values.mean()) if len(values) else float("nan")
-
-
 def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
     effect, moving = _cohen(d), d[d != 0]  # a sign of 0 changes nothing
     if len(moving) <= _ENUMERATED:
@@ -149,7 +148,7 @@ def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
 
 
 def _exact_p(d: NDArray[np.float64]) -> float:
-    """The share of all patterns of signs whose sum is at least as far from 0 as that of ``d``; 1 of no differences."""
+    """Return the share of all patterns of signs whose sum is at least as far from 0 as that of ``d``; 1 of no differences."""
     sums = d[:1]  # the other sign of the first mirrors all sums
     for value in d[1:]:
         sums = np.concatenate([sums + value, sums - value])
@@ -157,7 +156,7 @@ def _exact_p(d: NDArray[np.float64]) -> float:
 
 
 def _rounding(d: NDArray[np.float64]) -> float:
-    """Sums that differ by less are equal but for rounding."""
+    """Return sums that differ by less are equal but for rounding."""
     return 1e-12 * float(np.abs(d).sum())
 
 
@@ -213,6 +212,6 @@ def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]
 
 
 def some_of(names: Sequence[str], most: int = 5) -> str:
-    """The first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
+    """Return the first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more or "none"

@@ -69,12 +69,12 @@ class Layout(NamedTuple):
 
 @cache
 def load_cards() -> dict[str, Card]:
-    """Returns all cards by name."""
+    """Return all cards by name."""
     return msgspec.convert(tomllib.loads(builtin_path("scenarios/cards.toml").read_text()), dict[str, Card])
 
 
 def choose_cards(names: str) -> list[str]:
-    """Returns the names of the cards that a rule names: ``all``, or some with commas between.
+    """Return the names of the cards that a rule names: ``all``, or some with commas between.
 
     Raises:
         InputError: There is no such card.
@@ -88,7 +88,7 @@ def choose_cards(names: str) -> list[str]:
 
 
 def sample_layout(card: Card, rng: np.random.Generator) -> Layout:
-    """Samples a card's ranges; ``right`` changes its sign in half of the cases."""
+    """Sample a card's ranges; ``right`` changes its sign in half of the cases."""
     mirror = float(rng.choice((-1.0, 1.0)))
 
     def number(value: Number) -> float:

@@ -244,7 +244,7 @@ class ChoreRoutine(Routine):
                 del work.held[number]
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
-        """Yields the motion of somebody who looks at a phone while they turn to a place [3] and stand there."""
+        """Yield the motion of somebody who looks at a phone while they turn to a place [3] and stand there."""
         body, work = self._body, self._work
         quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
         # the gesture, which replays add by the name of the activity, lowers the head; the palm is led to where it is then
@@ -263,7 +263,7 @@ class ChoreRoutine(Routine):
 
     # --- movements -------------------------------------------------------------------------------------------------------
     def _take(self, plan: Chore, t: Array) -> Movement:
-        """Opens the door with one hand, takes with the other one, and closes the door."""
+        """Open the door with one hand, take with the other one, and close the door."""
         _, _, hinge = _frame(plan.handles)
         o, h = (BOTH.index(hand) for hand in _hands(plan.root, hinge))
         angle = (_ramp(t, 0.9, 2.3) - _ramp(t, 4.7, 6.0)) * plan.angles[-1]
@@ -283,7 +283,7 @@ class ChoreRoutine(Routine):
         return Movement(lead, lead[:, h, :3], int(np.searchsorted(t, 3.6)), h, plan.joint, positions)
 
     def _lift(self, plan: Chore, t: Array) -> Movement:
-        """Takes up a tray with both hands."""
+        """Take up a tray with both hands."""
         up, spot = _ramp(t, 1.7, 2.9)[:, None], _seen(plan.root, plan.spot[None])[0]
         # hands come from above, not through the edge of a table
         middle = self._tray_at + (_ramp(t, 0.5, 1.5)[:, None] - up) * (spot - self._tray_at)
@@ -292,7 +292,7 @@ class ChoreRoutine(Routine):
         return Movement(lead, middle, int(np.searchsorted(t, 1.6)))
 
     def _put(self, plan: Chore, t: Array) -> Movement:
-        """Puts down what the hands hold."""
+        """Put down what the hands hold."""
         assert self._holds is not None
         hand, spot = self._holds[1], _seen(plan.root, plan.spot[None])[0]
         lean, out = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0), (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
@@ -407,7 +407,7 @@ def _carried_tray(body: Humanoid, scale: float) -> Array:
 
 
 def _body(kind: str, pose: Array, count: int | None = None) -> Body:
-    """A thing of `LOOKS` with a number in its name."""
+    """Return a thing of `LOOKS` with a number in its name."""
     name = kind if count is None else f"{kind}_{count}"
     scale = LOOKS[kind][1].astype(np.float32)
     return Body(name=name, asset=kind, pose=pose.astype(np.float32), scale=scale, moving=0)
@@ -423,7 +423,7 @@ def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> A
 
 
 def _ramp(t: Array, start: float, end: float) -> Array:
-    """Shares [T] of a movement between two times, from 0 to 1 with the minimum-jerk profile."""
+    """Return shares [T] of a movement between two times, from 0 to 1 with the minimum-jerk profile."""
     return minimum_jerk(np.clip((t - start) / (end - start), 0.0, 1.0))
 
 
@@ -437,7 +437,7 @@ def _kept_plan(
 def _planned(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, start: Array, number: int, *, tray: bool
 ) -> Chore:
-    """The chore of a stop; a breakfast that was chosen because it can be done is not planned twice."""
+    """Return the chore of a stop; a breakfast that was chosen because it can be done is not planned twice."""
     least = CHORES[stop.activity] + SETTLES_S
     if stop.seconds < least:
         raise InputError(
@@ -482,7 +482,10 @@ def _around(scene: Scene, thing: Instance) -> Array:
 
 @lru_cache(maxsize=16)
 def _door(scene: Scene, name: str) -> tuple[int, Array]:
-    """Number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3]; -1: none."""
+    """Return the number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3].
+
+    The number is -1 if there is no such door.
+    """
     joints = joints_of(scene)
     for k, (thing, part) in enumerate(joints.parts):
         if thing.name == name and part.joint.kind == "revolute" and part.encloses:
@@ -506,7 +509,7 @@ def _frame(handles: Array) -> tuple[Array, Array, Array]:
 
 
 def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array) -> Chore | None:
-    """The chore of taking something out of a thing with a door, from a place [3]; None: the hands do not reach."""
+    """Return the chore of taking something out of a thing with a door, from a place [3]; None: the hands do not reach."""
     k, handles = _door(scene, name)
     ahead, along, hinge = _frame(handles)
     root = ground_pose(place[:2], float(place[2]))
@@ -541,7 +544,10 @@ def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array)
 
 
 def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:
-    """The chore of lifting something from a thing or putting it there, from a place [3]; None: the hands do not reach."""
+    """Return the chore of lifting something from a thing or putting it there, from a place [3].
+
+    The result is None if the hands do not reach it.
+    """
     root, matrix = ground_pose(place[:2], float(place[2])), instance_matrix(thing)
     ahead = quat_rotate(root[3:], np.array([1.0, 0.0, 0.0]))
     half = TRAY_M if wide else ITEM_M
@@ -569,7 +575,9 @@ def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: boo
 
 
 def _farther(body: Humanoid, grips: Array) -> float:
-    """Distance [m] by which a body has to lean farther so that both palms reach places [2, 3] at once; NaN: they do not.
+    """Return the distance [m] by which a body has to lean farther so that both palms reach places [2, 3] at once.
+
+    The distance is NaN if they do not reach.
 
     The trunk is turned less than for one hand, which takes reach from both.
     """
@@ -587,7 +595,7 @@ def _farther(body: Humanoid, grips: Array) -> float:
 
 
 def _arm(body: Humanoid, side: int) -> float:
-    """Length of an arm from the shoulder to the palm [m]."""
+    """Return the length of an arm from the shoulder to the palm [m]."""
     grasp = grasp_point(body, BOTH[side])
     return float(np.linalg.norm(body.joint_offsets[ARMS[side][1:]], axis=1).sum() + 0.5 * np.linalg.norm(grasp))
 
@@ -599,7 +607,7 @@ def _solids(scene: Scene) -> list[tuple[Instance, Array]]:
 
 
 def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
-    """Returns whether something stands where a tray would."""
+    """Return whether something stands where a tray would."""
     for other, (low, high) in _solids(scene):
         if other is thing:
             continue
@@ -615,7 +623,7 @@ def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
 
 
 def _hands(root: Array, hinge: Array) -> tuple[Hand, Hand]:
-    """The hand that opens a door, on the side of its hinge [2], and the one that takes."""
+    """Return the hand that opens a door, on the side of its hinge [2], and the one that takes."""
     right = _seen(root, np.array([[hinge[0], 0.0, hinge[1]]]))[0, 2] > 0
     return ("right", "left") if right else ("left", "right")
 

@@ -22,7 +22,7 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task
 
 CANDIDATES = 400
-"""Goals that are sampled for an episode, of which the first that fits is taken."""
+"""Number of goals that are sampled for an episode, of which the first that fits is taken."""
 FAR_M = 100.0
 """Distances beyond this are shown as this."""
 
@@ -89,7 +89,7 @@ class CrowdNav(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Remembers the goals and the paths that are left."""
+        """Remember the goals and the paths that are left."""
         goal = self.goals(play)
         return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
 
@@ -121,15 +121,15 @@ class CrowdNav(Task):
         )
 
     def goals(self, play: WorldRollout) -> Any:
-        """Returns the goal of the robot of each world [W, 2] [m]."""
+        """Return the goal of the robot of each world [W, 2] [m]."""
         return play.extra("goal")
 
     def moved_goals(self, play: WorldRollout) -> Any:
-        """Returns the goals after a step [W, 2] [m]; by default they stay."""
+        """Return the goals after a step [W, 2] [m]; by default they stay."""
         return play.memory["goal"]
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
-        """Returns whether robots have done what they should, and whether the episode is over for it, [W] each."""
+        """Return whether robots have done what they should, and whether the episode is over for it, [W] each."""
         gap = play.memory["goal"] - play.world.state.agents[0].xz
         arrived = (play.xp.hypot(gap[:, 0], gap[:, 1]) < play.spec.arrive_m) & ~touching
         return arrived, arrived
@@ -140,7 +140,7 @@ class CrowdNav(Task):
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 
     def _left(self, play: WorldRollout, goal: Any) -> Any:
-        """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
+        """Return the length of the shortest path to the goal [m], [W]; the straight line where there is none."""
         far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
         return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
 

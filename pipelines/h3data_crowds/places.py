@@ -55,7 +55,7 @@ def lines_of(layout: Layout, kind: PlaceKind) -> Array:
 
 
 def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.Generator) -> Frame | None:
-    """Returns a frame on a floor in which a layout fits; None if none of those tried does.
+    """Return a frame on a floor in which a layout fits; None if none of those tried does.
 
     Everybody's straight lines must be free. In addition a corridor has walls 0.7 to 1.3 m from its axis, a hallway
     within 0.75 m; a door is narrower than the floor before and behind it; the two sides of a corner do not see each other.
@@ -77,7 +77,7 @@ def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.
     turned = np.tile(headings, len(origins))
 
     def room(points: Array, rows: NDArray[np.intp]) -> Array:
-        """Distance to obstacles [n, N] of points [N, 2] in the frames ``rows`` [n]."""
+        """Return the distance to obstacles [n, N] of points [N, 2] in the frames ``rows`` [n]."""
         placed = at[rows][:, None] + np.einsum("pk,nkx->npx", points, axes_of(turned[rows]))
         return free.signed_distance(placed)
 
@@ -116,7 +116,7 @@ _PLANS: dict[PlaceKind, tuple[tuple[float, float, float, float], ...]] = {
 
 @lru_cache(maxsize=16)
 def build_plan(kind: PlaceKind) -> Scene:
-    """Returns a scene that is one place: floors with walls around them."""
+    """Return a scene that is one place: floors with walls around them."""
     floors = np.array(_PLANS[kind])
     blocks = [("floor", (x0, -0.1, z0), (x1, 0.0, z1)) for x0, z0, x1, z1 in floors]
     xs, zs = (

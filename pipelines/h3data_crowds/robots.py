@@ -41,7 +41,7 @@ UNREACHABLE_M = 100.0
 TURN_M = 0.2
 """Length of path that a radian between heading and path is worth."""
 SAMPLES = 160
-"""Plans that `mpc` samples at each step."""
+"""Number of plans that `mpc` samples at each step."""
 
 Policy = Callable[[AgentView, BaseSpec], Velocity]
 
@@ -62,18 +62,18 @@ def _drive(view: AgentView, base: BaseSpec, velocity: Array) -> Velocity:
 
 
 def _wanted(view: AgentView) -> Array:
-    """Velocity [2] [m/s] towards a point ahead on the shortest path to the goal."""
+    """Return the velocity [2] [m/s] towards a point ahead on the shortest path to the goal."""
     gap = _target(view) - view.xz
     return np.asarray(gap / max(float(np.hypot(*gap)), 1e-9) * CRUISE_MPS)
 
 
 def shortest_path(view: AgentView, base: BaseSpec) -> Velocity:
-    """Drives along the shortest path, whoever is in the way."""
+    """Drive along the shortest path, whoever is in the way."""
     return _drive(view, base, _wanted(view))
 
 
 def _people(view: AgentView) -> tuple[Array, Array]:
-    """Positions [P, 2] [m] and velocities [P, 2] [m/s] of the people."""
+    """Return positions [P, 2] [m] and velocities [P, 2] [m/s] of the people."""
     rows = [k for k, kind in enumerate(view.kinds) if kind == "human"]
     return view.places[rows, :2], (view.places[rows, :2] - view.before[rows, :2]) / STEP_S
 
@@ -159,7 +159,7 @@ def roll_plans(sdf, origin, cell, pose, plans, limits, discs, radius, people, ve
 
 
 def _ways_left(view: AgentView, ends: Array) -> Array:
-    """Paths [N] [m] from where plans end to the goal, longer where the robot does not look along them."""
+    """Return paths [N] [m] from where plans end to the goal, longer where the robot does not look along them."""
     goal = np.array(view.extra["goal"])
     left = view.free.geodesic(ends[:, :2], np.broadcast_to(goal, (len(ends), 2)))
     ahead = _target(view) - view.xz
@@ -214,7 +214,7 @@ class Yielding:
         self._going = None
 
     def act(self, view: AgentView) -> Velocity:
-        """The next step to the goal; none where somebody has to pass first."""
+        """Return the next step to the goal; none where somebody has to pass first."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
         if self._going is None:

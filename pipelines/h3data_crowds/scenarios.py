@@ -28,7 +28,7 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import TaskUsage
 
 LAYOUTS = 6
-"""Layouts of a card that are sampled for a home before a plan is built."""
+"""Number of layouts of a card that are sampled for a home before a plan is built."""
 STOP_M = 1.4
 """Distance from the person within which a robot that follows observes its own place as the goal [m]."""
 LEAD_M = 3.5
@@ -72,7 +72,7 @@ class ScenarioCodec(TaskCodec):
     """Builds the plans of episodes from files again."""
 
     def instruction(self, episode: Episode) -> str:
-        """Text of the card."""
+        """Return the text of the card."""
         return load_cards()[episode.extra["card"]].text
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
@@ -105,7 +105,7 @@ class Scenarios(CrowdNav):
         return ScenarioCodec(self)
 
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-        """Samples a card's numbers and finds a place for them; agents beyond those of the card are left out.
+        """Sample a card's numbers and find a place for them; agents beyond those of the card are left out.
 
         Raises:
             InputError: No such card, or the roster lacks agents for it.
@@ -168,7 +168,7 @@ class Scenarios(CrowdNav):
 
     # --- rules ----------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Remembers in addition how long the robot has kept near people, and what it has done wrong."""
+        """Remember in addition how long the robot has kept near people, and what it has done wrong."""
         zeros, people = 0.0 * play.steps, len(play.world.state.people)
         more = {"kept": zeros, "walked": zeros.copy(), "rude": play.steps < 0}
         return {**super().begin(play, rows), **more, "passed": np.zeros((len(zeros), people), np.bool_)}
@@ -202,7 +202,7 @@ class Scenarios(CrowdNav):
         return self.goals(play)
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
-        """Returns whether what each mode asks for is done, and whether the episode is over, [W] each."""
+        """Return whether the robot has done what its scenario asks for, and whether the episode is over, bool [W] each."""
         memory, spec, world = play.memory, play.spec, play.world
         own, people = world.state.agents[0].xz, world.state.people
         success, over = play.steps < 0, play.steps < 0
@@ -237,7 +237,7 @@ class Scenarios(CrowdNav):
         return success & ~touching, over & ~touching
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """An `AgentView` whose ``extra["goal"]`` is where the robot should be now, and the signs of people."""
+        """Return an `AgentView` whose ``extra["goal"]`` is where the robot should be now, and the signs of people."""
         view = play.agent_view(agent, world)
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
@@ -299,7 +299,7 @@ def _looking(frame: Frame, point: Array, towards: Array) -> tuple[float, float, 
 def _in_home(
     scene: Scene, free: FreeSpace, card: Card, rng: np.random.Generator, robot: AgentSpec, spec: ScenarioSpec
 ) -> tuple[Layout, Frame] | None:
-    """A layout of a card and its frame on the floor of a home; None if it does not fit."""
+    """Return a layout of a card and its frame on the floor of a home; None if it does not fit."""
     fits = robot_fits(robot.body, spec.robot, scene, free)  # type: ignore[arg-type]
     for _ in range(LAYOUTS):
         layout = sample_layout(card, rng)

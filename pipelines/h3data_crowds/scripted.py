@@ -35,7 +35,7 @@ class ScriptedPerson:
     def __init__(
         self, free: FreeSpace, person: Mapping[str, Any], extra: Mapping[str, Any], traits: Traits, walker: WalkerSpec
     ) -> None:
-        """Creates a person.
+        """Create a person.
 
         Args:
             free: Floor.
@@ -93,7 +93,7 @@ class ScriptedPerson:
 
 
 def _shortened(path: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
-    """The path [K, 2] without its last ``by_m`` [m]."""
+    """Return the path [K, 2] without its last ``by_m`` [m]."""
     left = by_m
     for k in range(len(path) - 1, 0, -1):
         length = float(np.hypot(*(path[k] - path[k - 1])))

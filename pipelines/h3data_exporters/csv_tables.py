@@ -77,7 +77,7 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
 
 
 def export_csv(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports one recording for ``h3data export --to csv``."""
+    """Export one recording for ``h3data export --to csv``."""
     (recording,) = recordings
     files = write_csv_tables(recording, request.out)
     lines = [f"{file}: {size_text(file.stat().st_size)}" for file in files]
@@ -85,7 +85,7 @@ def export_csv(recordings: Iterable[Recording], request: ExportRequest) -> Expor
 
 
 def _npz(stream: IO[bytes], recording: Recording) -> None:
-    """Writes arrays as `numpy.savez_compressed`, which does not accept every name."""
+    """Write arrays as `numpy.savez_compressed`, which does not accept every name."""
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in recording.columns.items():
             # the size of a member is not known before it is written, and may be above 4 GiB
@@ -140,7 +140,7 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
 
 
 def _texts(values: np.ndarray) -> list[str]:
-    """The shortest text of each number that gives it back; truth as 0 and 1; nothing for NaN."""
+    """Return the shortest text of each number that gives it back; truth as 0 and 1; nothing for NaN."""
     # spreadsheets compute with 0 and 1
     if values.dtype.kind == "b":
         return ["1" if v else "0" for v in values]
@@ -152,7 +152,7 @@ def _texts(values: np.ndarray) -> list[str]:
 
 
 def _harmless(rows: Iterable[Sequence[Any]]) -> Iterable[list[Any]]:
-    """Rows with names and words of whoever made the recording: no spreadsheet runs them."""
+    """Return rows with names and words of whoever made the recording: no spreadsheet runs them."""
     return ([spreadsheet_cell(cell) for cell in row] for row in rows)
 
 

@@ -30,7 +30,7 @@ _BLOCK_PX = 4
 """Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 
 MAX_LOOKS = 32
-"""Pairs of texture and colour that one mesh may have."""
+"""Number of pairs of texture and colour that one mesh may have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ class Influences:
 
 
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
-    """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
+    """Return a GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
     A mesh of several looks is a node with one child per look.
 
@@ -93,7 +93,7 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
 
 
 def _one_primitive_each(meshes: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[list[int]]]:
-    """Meshes of one primitive, and which of them each mesh has become.
+    """Return meshes of one primitive, and which of them each mesh has become.
 
     habitat-sim culls by the box of a node, which may be that of one primitive only: a rug of six vanished in some pictures.
     """
@@ -160,7 +160,7 @@ class _Materials:
         return (np.stack([index % self._side + 0.5, index // self._side + 0.5], -1) / self._side).astype(np.float32)
 
     def pair(self, texture: Texture, color: NDArray[np.uint8]) -> int:
-        """Index of the material that shows a texture in an sRGB colour [3]."""
+        """Return the index of the material that shows a texture in an sRGB colour [3]."""
         # by identity: meshes of a home share their textures, and comparing pixels is slow
         key = (id(texture), int(_codes(color)))
         if key not in self._pairs:
@@ -183,7 +183,7 @@ class _Materials:
 def _primitives(
     chunk: GlbChunk, mesh: Mesh, materials: _Materials, influences: Influences | None
 ) -> list[dict[str, Any]]:
-    """One primitive for the triangles without a texture, one for each pair of texture and colour."""
+    """Return one primitive for the triangles without a texture, one for each pair of texture and colour."""
     primitives = []
     for kind, color, faces in _looks(mesh):
         used, corners = np.unique(faces, return_inverse=True)
@@ -229,7 +229,7 @@ def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
-    """The mesh with a single colour, the mean, for each triangle whose corners differ, and the source of each vertex.
+    """Return the mesh with a single colour, the mean, for each triangle whose corners differ, and the source of each vertex.
 
     Such triangles get corners of their own; the second value is the index into the vertices of ``mesh``.
 

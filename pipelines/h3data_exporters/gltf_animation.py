@@ -80,7 +80,7 @@ def write_gltf_animation(
 
 
 def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports one recording for ``h3data export --to gltf``."""
+    """Export one recording for ``h3data export --to gltf``."""
     (recording,) = recordings
     replay = Replay(
         recording,
@@ -221,7 +221,7 @@ class _Writer:
 
     # --- the file -----------------------------------------------------------------------------------------------------
     def glb(self, extras: dict[str, Any]) -> bytes:
-        """The bytes of the file."""
+        """Return the bytes of the file."""
         meshes = mesh_lists(self.chunk, self.meshes, self.influences) if self.meshes else {}
         animation = {"name": "recording", "channels": self.channels, "samplers": self.samplers}
         members = {
@@ -239,7 +239,7 @@ class _Writer:
 
 
 def _held(poses: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses [T, ..., 7] with gaps filled, and which steps [T] had no gap.
+    """Return poses [T, ..., 7] with gaps filled, and which steps [T] had no gap.
 
     An absent pose is replaced by the last one before it; at the beginning, by the first one after it.
     """

@@ -17,7 +17,7 @@ Node = dict[str, Any]
 
 
 def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
-    """A GLB of one mesh in its rest pose, with its skin and joints: a rig for others to pose."""
+    """Return a GLB of one mesh in its rest pose, with its skin and joints: a rig for others to pose."""
     chunk = GlbChunk()
     rest = np.linalg.inv(skeleton.inverse_bind)
     # nodes are posed by quaternions, which have no scale
@@ -44,7 +44,7 @@ def add_joints(nodes: list[Node], skeleton: Skeleton, local: Array) -> list[int]
 
 
 def skin_record(chunk: GlbChunk, skeleton: Skeleton, *, first: int) -> dict[str, Any]:
-    """A skin whose joints are the nodes from ``first`` on."""
+    """Return a skin whose joints are the nodes from ``first`` on."""
     # glTF has matrices column by column
     columns = skeleton.inverse_bind.swapaxes(1, 2).reshape(-1, 16).astype("<f4")
     # exactly, as validators ask for: inverting leaves rounding there

@@ -76,7 +76,7 @@ def write_lerobot(
 
 
 def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports recordings for ``h3data export --to lerobot``."""
+    """Export recordings for ``h3data export --to lerobot``."""
     cameras = tuple(dict.fromkeys(request.cameras or request.stored_cameras))
     counts = {"copied": 0, "rendered": 0}
     # where recordings do not name it: videos of older datasets are flat, and what is added to them has to match
@@ -164,7 +164,7 @@ class _Summary:
         self._places: list[int] = []
 
     def add(self, recording: Recording) -> None:
-        """Takes down where an episode was played, and from which seed."""
+        """Take down where an episode was played, and from which seed."""
         episode = recording.episode
         digest = str(episode.info.get("scene_sha256", ""))
         source = episode.info.get("scene_source")
@@ -181,7 +181,7 @@ class _Summary:
         self._seeds.append(episode.seed)
 
     def demonstrations(self) -> Demonstrations:
-        """All of it."""
+        """Return all of it."""
         recording = self._first
         info, found = recording.episode.info, transitions_of(recording, agent=self._agent)
         moved_by = {"robot": str(info.get("policy", "")), "human": str(info.get("partner", ""))}

@@ -92,7 +92,7 @@ def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: 
 
 
 def export_minari(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports recordings for ``h3data export --to minari``."""
+    """Export recordings for ``h3data export --to minari``."""
     count = write_minari(recordings, request.out, agent=request.agent)
     return Exported(
         text=f"{request.out}: {counted(count, 'episode')} as a Minari dataset with the id {request.out.name}",

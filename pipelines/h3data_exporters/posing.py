@@ -71,7 +71,7 @@ def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> lis
 
 
 def posed_cameras(replay: Replay) -> list[PosedCamera]:
-    """The cameras of robots and people, and those that the recording carries."""
+    """Return the cameras of robots and people, and those that the recording carries."""
     cameras = []
     for name in camera_names(replay):
         # views that every replay has, which nobody carries
@@ -105,7 +105,7 @@ def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
 
 
 def missing_note(missing: Sequence[str], consequence: str) -> str:
-    """A line for people about asset files that were not found; empty if all were."""
+    """Return a line for people about asset files that were not found; empty if all were."""
     return f"\n{len(missing)} asset files were not found and {consequence}. Hint: --assets DIR" if missing else ""
 
 
@@ -132,7 +132,7 @@ def _skeleton_of_person(replay: Replay, agent: int, steps: NDArray[np.integer]) 
 def _skeleton_of_rig(
     replay: Replay, track: RigTrack, steps: NDArray[np.integer], roots: Array, scale: Array
 ) -> Skeleton:
-    """The joints as `h3data.recording.assets.skinned_meshes` moves them, and one more for parts that no skin moves.
+    """Return the joints as `h3data.recording.assets.skinned_meshes` moves them, and one more for parts that no skin moves.
 
     There a vertex of the file goes to root F rigid(root)^-1 bone_j inverse_bind_j v, with ``root`` scaled and F the file's
     axes; here meshes are F v, so B_j = inverse_bind_j F^-1, brought to unit scale.

@@ -61,7 +61,7 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
 
 
 def export_robomimic(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports recordings for ``h3data export --to robomimic``."""
+    """Export recordings for ``h3data export --to robomimic``."""
     count = write_robomimic(recordings, request.out, agent=request.agent)
     size = request.out.stat().st_size
     text = f"{request.out}: {counted(count, 'demonstration')}, {size_text(size)}"

@@ -34,25 +34,25 @@ class AutoEngine(GpuEngine):
         self._cpu: Engine | None = None
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Sets transforms of instances on both back ends."""
+        """Set transforms of instances on both back ends."""
         super().set_transforms(world, instances, matrices)
         if self._cpu:
             self._cpu.set_transforms(world, instances, matrices)
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Shows or hides instances on both back ends."""
+        """Show or hide instances on both back ends."""
         super().set_visible(world, instances, visible)
         if self._cpu:
             self._cpu.set_visible(world, instances, visible)
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replaces the vertices of a deformable mesh on both back ends."""
+        """Replace the vertices of a deformable mesh on both back ends."""
         super().set_vertices(world, mesh, vertices)
         if self._cpu:
             self._cpu.set_vertices(world, mesh, vertices)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Sets the capsules that cast soft shadows on both back ends."""
+        """Set the capsules that cast soft shadows on both back ends."""
         super().set_blockers(world, blockers)
         if self._cpu:
             self._cpu.set_blockers(world, blockers)
@@ -65,7 +65,7 @@ class AutoEngine(GpuEngine):
         samples: Any,
         out: Mapping[str, Any] | None,
     ) -> dict[str, Any]:
-        """Renders on the GPU, or on the CPU if cast shadows or other projections are needed."""
+        """Render on the GPU, or on the CPU if cast shadows or other projections are needed."""
         shadows = "rgb" in outputs and self._cpu_light.shadow_rays > 0
         if not shadows and all(camera.projection == "perspective" for camera in cameras):
             return super().render(cameras, worlds, outputs, samples, out)
@@ -78,7 +78,7 @@ class AutoEngine(GpuEngine):
         return resolve_device(None)
 
     def _cpu_engine(self) -> Engine:
-        """A CPU engine in the current state of all worlds."""
+        """Return a CPU engine in the current state of all worlds."""
         scene, count = self.scene, self.world_count
         engine = ENGINES.get("rays")(scene, light=self._cpu_light, worlds=count, threads=self._threads)
         for world in range(count):

@@ -45,7 +45,7 @@ def gpu_problem() -> str | None:
 
 
 def resolve_device(device: str | torch.device | None) -> torch.device:
-    """The CUDA device, including its index; the current one for None.
+    """Return the CUDA device, including its index; the current one for None.
 
     Raises:
         InputError: there is no CUDA device, or ``device`` is not one.
@@ -64,7 +64,7 @@ def resolve_device(device: str | torch.device | None) -> torch.device:
 
 
 def source_text() -> str:
-    """All CUDA C sources of this package, concatenated."""
+    """Return all CUDA C sources of this package, concatenated."""
     folder = Path(__file__).parent
     return "".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in SOURCES)
 
@@ -88,7 +88,7 @@ class Program:
     def launch(
         self, name: str, blocks: int, threads: int, argument: ctypes.Structure, *, shared_bytes: int = 0
     ) -> None:
-        """Launches a kernel on torch's current stream of its device, whichever is current; its only parameter is a struct."""
+        """Launch a kernel on torch's current stream of its device, whichever is current; its only parameter is a struct."""
         import torch
 
         if blocks == 0:
@@ -138,7 +138,7 @@ def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -
 
 
 def _cache_folder() -> Path | None:
-    """The folder for compiled code; None if caching is off or the folder cannot be written."""
+    """Return the folder for compiled code; None if caching is off or the folder cannot be written."""
     folder = cache_folder("gpu")
     if folder is None:
         return None

@@ -35,7 +35,7 @@ class Deformables:
         )
 
     def pack(self, pool: Pool, number: int) -> None:
-        """Appends the deformable meshes of one scene."""
+        """Append the deformable meshes of one scene."""
         stage = self.scenes[number]
         scene, before = stage.scene, (pool.vertex_count, pool.cluster_count, self.group_count)
         self.rows.append({"first_group": before[2], "first_vertex": before[0], "first_cluster": before[1]})
@@ -81,7 +81,7 @@ class Deformables:
     def _pack_normals(
         self, pool: Pool, scene: RenderScene, mesh: int, meshlets: Meshlets, faces: NDArray[np.int32], first_vertex: int
     ) -> None:
-        """Appends the faces around every group of vertices that share a normal."""
+        """Append the faces around every group of vertices that share a normal."""
         if mesh not in scene.groups:
             pool.keep(normal_groups=np.zeros(len(meshlets.vertices), np.int32))
             return
@@ -101,7 +101,7 @@ class Deformables:
         self.normal_group_count += count
 
     def arrays(self, pool: Pool) -> dict[str, Any]:
-        """The fields of `Packed` that concern deformable meshes."""
+        """Return the fields of `Packed` that concern deformable meshes."""
         faces = pool.joined("group_faces", (0, 3), np.int32)
         return {
             "groups": pool.joined("groups", (0,), GROUP),

@@ -41,17 +41,17 @@ class GpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Sets transforms [n, 4, 4] of instances in one world; they are uploaded with the next image."""
+        """Set transforms [n, 4, 4] of instances in one world; they are uploaded with the next image."""
         self._matrix[world, instances] = matrices
         self._poses_stale = True
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Shows or hides instances in one world."""
+        """Show or hide instances in one world."""
         self._visible[world, instances] = visible
         self._poses_stale = True
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replaces the vertices [V, 3] of a deformable mesh in one world."""
+        """Replace the vertices [V, 3] of a deformable mesh in one world."""
         if mesh not in self._vertices:
             self._vertices[mesh] = np.tile(self.scene.meshes[mesh].vertices, (self.world_count, 1, 1))
         self._vertices[mesh][world] = vertices
@@ -59,7 +59,7 @@ class GpuEngine:
         self._stale_meshes.add(mesh)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Sets the capsules that cast soft shadows in one world; None removes them."""
+        """Set the capsules that cast soft shadows in one world; None removes them."""
         self._blockers[world] = blockers
         self._blockers_stale = True
 
@@ -77,12 +77,12 @@ class GpuEngine:
         samples: Any,
         out: Mapping[str, Any] | None,
     ) -> dict[str, Any]:
-        """Renders cameras of one picture size in the given worlds; returns tensors on the device."""
+        """Render cameras of one picture size in the given worlds; return tensors on the device."""
         renderer = self._current_renderer(cameras[0].width, cameras[0].height)
         return copied_to(out, renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples))
 
     def _current_renderer(self, width: int, height: int) -> GpuRenderer:
-        """A renderer of this size in the current state of all worlds. Only the most recent size is kept."""
+        """Return a renderer of this size in the current state of all worlds. Only the most recent size is kept."""
         renderer = self._renderer
         if renderer is None or (renderer.width, renderer.height) != (width, height):
             renderer = self.renderer_class(
@@ -102,7 +102,7 @@ class GpuEngine:
 
 @lru_cache(maxsize=1)
 def _whole(scene: RenderScene) -> GpuScene:
-    """A scene in which everything may move: the same object again for the last one, which is packed already."""
+    """Return a scene in which everything may move: the same object again for the last one, which is packed already."""
     return GpuScene(scene, moving=range(len(scene.instances)))
 
 

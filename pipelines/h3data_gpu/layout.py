@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 CAMERA_WORDS = 18
-"""Words per view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
+"""Number of words per view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
 BOX = np.dtype([("center", "3f4"), ("first", "i4"), ("half", "3f4"), ("second", "i4")])
 PLACE = np.dtype([("slot", "i4"), ("layer", "u4"), ("group", "i4"), ("instance", "i4")])
 SCENE = np.dtype(
@@ -33,7 +33,7 @@ class Struct(ctypes.Structure):
     """A struct that is filled by field name; a tensor stands for its address."""
 
     def fill(self, **values: Any) -> None:
-        """Sets fields by name; a tensor stands for the address of its data."""
+        """Set fields by name; a tensor stands for the address of its data."""
         for name, value in values.items():
             setattr(self, name, value.data_ptr() if hasattr(value, "data_ptr") else value)
 

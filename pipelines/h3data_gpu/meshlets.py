@@ -45,7 +45,7 @@ class Meshlets(NamedTuple):
 def build_meshlets(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
 ) -> Meshlets:
-    """The clusters of a mesh [V, 3], [F, 3]; triangles with holes (``cut_out`` [F]) get clusters of their own."""
+    """Return the clusters of a mesh [V, 3], [F, 3]; triangles with holes (``cut_out`` [F]) get clusters of their own."""
     low, high = _triangle_boxes(vertices, faces)
     cut = np.zeros(len(faces), np.bool_) if cut_out is None else cut_out
     order, starts, groups = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -95,7 +95,7 @@ def _surface(box):
 
 @kernel_part()
 def _binned_split(order, low, high, start, end):
-    """Reorders ``order[start:end]`` at the cheapest boundary between bins; returns the index of the split."""
+    """Reorder ``order[start:end]`` at the cheapest boundary between bins; return the index of the split."""
     centers = np.empty(6)
     _clear(centers)
     for k in order[start:end]:
@@ -147,7 +147,7 @@ def _binned_split(order, low, high, start, end):
 
 @kernel_part()
 def _sorted_split(order, low, high, start, end):
-    """Sorts ``order[start:end]`` along the axis of the cheapest split at whole clusters; returns the index of the split."""
+    """Sort ``order[start:end]`` along the axis of the cheapest split at whole clusters; return the index of the split."""
     count = end - start
     step = CLUSTER_TRIANGLES if count > CLUSTER_TRIANGLES else max(1, count // 2)
     cheapest, split, box = np.inf, step, np.empty(6)
@@ -172,7 +172,7 @@ def _sorted_split(order, low, high, start, end):
 
 @kernel_part()
 def _vertex_count(order, faces, start, end, seen):
-    """Number of distinct vertices of triangles ``order[start:end]``; ``seen`` is scratch for 3 * 64 vertices."""
+    """Return the number of distinct vertices of triangles ``order[start:end]``; ``seen`` is scratch for 3 * 64 vertices."""
     count = 0
     for i in range(start, end):
         for corner in range(3):
@@ -188,7 +188,7 @@ def _vertex_count(order, faces, start, end, seen):
 
 @kernel()
 def _cut(faces, low, high):
-    """Order of the triangles [F], the start of each cluster in it [C], and the group of each cluster [C]."""
+    """Return the order of the triangles [F], the start of each cluster in it [C], and the group of each cluster [C]."""
     total = len(faces)
     order = np.arange(total)
     capacity = total // 8 + 64
@@ -221,7 +221,7 @@ def _cut(faces, low, high):
 
 @kernel()
 def _pack(vertices, faces, order, starts, ends):
-    """The first seven fields of `Meshlets`, for clusters ``order[starts:ends]``."""
+    """Return the first seven fields of `Meshlets`, for clusters ``order[starts:ends]``."""
     count = len(starts)
     used = np.empty(3 * len(faces), np.int32)
     triangles = np.zeros((count, CLUSTER_TRIANGLES), np.uint32)

@@ -81,7 +81,7 @@ class Packed:
 
 @lru_cache(maxsize=1)
 def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
-    """The arrays of several scenes. The last result is cached, for renderers of other image sizes.
+    """Return the arrays of several scenes. The last result is cached, for renderers of other image sizes.
 
     Raises:
         InputError: a `GpuScene` refers to something that does not exist, or a scene exceeds the limits of the kernels.

@@ -27,12 +27,12 @@ class Pool:
         self.parts: dict[str, list[NDArray[Any]]] = {}
 
     def keep(self, **arrays: NDArray[Any]) -> None:
-        """Appends arrays to the parts of the same names."""
+        """Append arrays to the parts of the same names."""
         for name, array in arrays.items():
             self.parts.setdefault(name, []).append(array)
 
     def joined(self, name: str, empty: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        """All parts of one name, concatenated; zeros of shape ``empty`` if there are none."""
+        """Return all parts of one name, concatenated; zeros of shape ``empty`` if there are none."""
         return np.concatenate([np.zeros(empty, dtype), *self.parts.get(name, [])])
 
     def add(
@@ -47,7 +47,7 @@ class Pool:
         face_textures: NDArray,
         face_instances: NDArray,
     ) -> NDArray[Any]:
-        """Appends the clusters of a mesh and returns its groups as boxes [G]; ``face_...`` are per triangle of the mesh."""
+        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` are per triangle of the mesh."""
         clusters = boxes(cut.low, cut.high)
         counts = np.diff(cut.first_vertex)
         clusters["first"] = counts | cut.triangle_count << 16 | np.where(cut.cut_out, _CUT_OUT, np.int32(0))
@@ -82,7 +82,7 @@ class Pool:
 
 
 def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
-    """Boxes [N] between corners [N, 3], slightly enlarged against rounding."""
+    """Return boxes [N] between corners [N, 3], slightly enlarged against rounding."""
     out = np.zeros(len(low), BOX)
     center = (low.astype(np.float64) + high) / 2
     half = (high.astype(np.float64) - low) / 2
@@ -92,7 +92,7 @@ def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
 
 
 def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: int = -1) -> dict[str, NDArray[Any]]:
-    """The arguments of `Pool.add` for a mesh, and its ``faces`` and ``cut_out``."""
+    """Return the arguments of `Pool.add` for a mesh, and its ``faces`` and ``cut_out``."""
     surface = scene.surface
     v, f = slice(*scene.first_vertex[mesh : mesh + 2]), slice(*scene.first_face[mesh : mesh + 2])
     textures = surface.face_textures[f]

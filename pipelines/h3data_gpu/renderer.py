@@ -52,7 +52,7 @@ class GpuRenderer:
         light: Light | None = None,
         device: str | torch.device | None = None,
     ) -> None:
-        """Copies scenes to the GPU and compiles the kernels.
+        """Copy scenes to the GPU and compile the kernels.
 
         Args:
             scenes: one scene or several.
@@ -105,7 +105,7 @@ class GpuRenderer:
 
     # --- data on the device -------------------------------------------------------------------------------------------
     def _upload(self) -> None:
-        """Uploads the packed scenes, allocates the state of all worlds, and fills the structs of the kernels."""
+        """Upload the packed scenes, allocates the state of all worlds, and fill the structs of the kernels."""
         import torch
 
         packed = self.packed
@@ -163,7 +163,7 @@ class GpuRenderer:
         self._shader = Shader(self._tensors, packed, self.light, self.device)
 
     def _reset(self) -> None:
-        """Sets all worlds to the state that the scenes were built with."""
+        """Set all worlds to the state that the scenes were built with."""
         packed = self.packed
         poses = np.full((len(self.scenes), packed.slots - 1, 3, 4), np.nan, np.float32)
         sources = np.zeros((len(self.scenes), *self._sources.shape[1:]), np.float32)
@@ -185,7 +185,7 @@ class GpuRenderer:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def update_poses(self, poses: Any) -> None:
-        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world.
+        """Set the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world.
 
         They are in the order of `GpuScene.slots`. If N is less than their number, the others keep their poses. NaN
         hides an instance.
@@ -200,7 +200,7 @@ class GpuRenderer:
         self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
 
     def update_joints(self, joints: Any) -> None:
-        """Deforms all skinned meshes by their joints.
+        """Deform all skinned meshes by their joints.
 
         ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]) map joint to world, for the scene's deformable meshes in
         order; the second axis may be omitted for a single body. NaN hides a body.
@@ -216,7 +216,7 @@ class GpuRenderer:
         self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # the kernel reads rows as float4
 
     def update_vertices(self, mesh: int, vertices: Any) -> None:
-        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin.
+        """Replace the vertices [worlds, V, 3] [m] of a deformable mesh without skin.
 
         It applies to all worlds whose scene has such a mesh with V vertices; there must be at least one. NaN hides the
         triangles at a vertex.
@@ -249,7 +249,7 @@ class GpuRenderer:
         self._shader.set_blockers(blockers)
 
     def _skin(self, joints: torch.Tensor) -> None:
-        """Deforms all skinned meshes to joints [worlds, bodies, J, 3 or 4, 4]."""
+        """Deform all skinned meshes to joints [worlds, bodies, J, 3 or 4, 4]."""
         count = joints.shape[0] * joints.shape[1] * joints.shape[2]
         self._deform.fill(world=self._world, joints=joints, joint_words=joints.shape[3] * 4)
         self._program().launch("palette", -(-count * 3 // 256), 256, self._deform)
@@ -279,7 +279,7 @@ class GpuRenderer:
         samples: Literal[1, 4] = 1,
         poses: Any = None,
     ) -> dict[str, torch.Tensor]:
-        """Images by output, each [views, H, W, ...] on the device; outputs are those of `Renderer.render`.
+        """Return images by output, each [views, H, W, ...] on the device; outputs are those of `Renderer.render`.
 
         Args:
             cameras: Perspective cameras of this renderer's size: one for all views, or one per view.
@@ -312,7 +312,7 @@ class GpuRenderer:
         return results
 
     def _views_of(self, cameras: list[Camera], worlds: Sequence[int] | None, poses: Any) -> Views:
-        """The views on the device. With ``poses`` and unchanged intrinsics, nothing is uploaded from the host."""
+        """Return the views on the device. With ``poses`` and unchanged intrinsics, nothing is uploaded from the host."""
         world_of_view = tuple(range(self.worlds)) if worlds is None else tuple(int(w) for w in worlds)
         intrinsics = tuple(
             (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *depth_range(c)) for c in cameras
@@ -340,7 +340,7 @@ class GpuRenderer:
         return views
 
     def _draw(self, views: Views, results: dict[str, torch.Tensor], *, scale: int) -> None:
-        """Renders all views into ``results``, in several parts if memory for the intermediate buffers runs out."""
+        """Render all views into ``results``, in several parts if memory for the intermediate buffers runs out."""
         import torch
 
         at_once = min(views.count, max(1, _MAX_PIXELS // (self.width * self.height * scale**2)))

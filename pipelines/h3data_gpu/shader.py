@@ -84,7 +84,7 @@ class Shader:
     def run(
         self, program: Any, world: World, depth: torch.Tensor, words: torch.Tensor, results: dict[str, torch.Tensor]
     ) -> None:
-        """Fills ``results`` (any outputs except depth) from a rasterised image."""
+        """Fill ``results`` (any outputs except depth) from a rasterised image."""
         samples = 4 if world.scale == 2 else 1
         shade = self._shade
         shade.fill(world=world, depth=depth, words=words, samples=samples, strength=0.0)

@@ -22,9 +22,9 @@ class Variant(NamedTuple):
     tile: int
     """Width and height of a block's tile [px]."""
     warps: int
-    """Warps per block."""
+    """Number of warps per block."""
     blocks: int
-    """Blocks that should fit on a multiprocessor at the same time."""
+    """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
         """Dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""
@@ -32,7 +32,7 @@ class Variant(NamedTuple):
 
 
 def choose_variant(worlds: int, width: int, height: int) -> Variant:
-    """The fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
+    """Return the fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
     pixels, longer = worlds * width * height, max(width, height)
     if worlds < 64:
         few = Variant(8, 8, 4) if pixels < 100_000 else Variant(16, 8, 4)
@@ -115,7 +115,7 @@ def depth_range(camera: Camera) -> tuple[float, float]:
 
 
 def tensor_of(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """An array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
+    """Return an array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
     import torch
 
     if array.dtype.fields is not None:

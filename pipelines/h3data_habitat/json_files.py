@@ -14,7 +14,7 @@ from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file (gzip allowed).
+    """Return the content of a JSON file (gzip allowed).
 
     Raises:
         InputError: there is no such file.
@@ -28,7 +28,7 @@ def read_json(path: Path) -> Any:
 
 
 def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> FormatError:
-    """The error for bytes that are not a JSON document; they begin at byte ``start`` of the file."""
+    """Return the error for bytes that are not a JSON document; they begin at byte ``start`` of the file."""
     text = str(fault)
     if not data.strip():
         return FormatError(f"Expected JSON, the file is empty: {path}", code="H3-FORMAT-010")
@@ -49,14 +49,14 @@ def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> Fo
 
 
 def truncated(path: Path, size: int) -> FormatError:
-    """The error for a JSON document that is cut off after ``size`` bytes."""
+    """Return the error for a JSON document that is cut off after ``size`` bytes."""
     return FormatError(
         f"The JSON is truncated: it ends at byte {size}. Hint: copy the file again. {path}", code="H3-FORMAT-009"
     )
 
 
 def _not_finite(data: bytes, fault: str, start: int) -> str | None:
-    """The NaN or infinity (as Python and NumPy write them) at which decoding failed; None for any other fault."""
+    """Return the NaN or infinity (as Python and NumPy write them) at which decoding failed; None for any other fault."""
     at = re.search(r"\(byte (\d+)\)", fault)
     number = re.compile(rb"-?(?:NaN|Infinity)").match(data, int(at[1])) if at else None
     if number is None:

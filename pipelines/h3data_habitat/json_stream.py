@@ -71,7 +71,7 @@ class ArrayElements:
 
     @staticmethod
     def _trimmed(at: int, text: bytes, first: bool) -> tuple[int, bytes]:
-        """The element without the one comma before it."""
+        """Return the element without the one comma before it."""
         bare = text.lstrip(_SPACE)
         begins = at + len(text) - len(bare)
         if first:
@@ -85,7 +85,7 @@ class ArrayElements:
         return begins, bare
 
     def _ends(self, chunk: bytes) -> tuple[NDArray[np.intp], int | None]:
-        """Ends (exclusive) of the elements that end in the chunk, and the place of the array's closing bracket if there."""
+        """End (exclusive) of the elements that end in the chunk, and the place of the array's closing bracket if there."""
         # the character after a backslash at the end of the last chunk is escaped
         text = b" " + chunk[1:] if self._escaped else chunk
         if (

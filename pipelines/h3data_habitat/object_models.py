@@ -78,7 +78,7 @@ class ObjectModel:
 
 
 def load_object_models(path: str | Path, *, assets: Sequence[str | Path] = ()) -> dict[str, ObjectModel]:
-    """Loads objects by name.
+    """Load objects by name.
 
     They come from one folder of the YCB set (``003_cracker_box`` with ``google_16k/textured.obj``), one
     ``*.object_config.json``, or a folder of these, such as Habitat's ``objects/ycb``.
@@ -133,7 +133,7 @@ def _mesh_below(folder: Path) -> Path | None:
 
 # --- the two layouts ----------------------------------------------------------------------------------------------------
 def _of_folder(folder: Path, file: Path) -> ObjectModel:
-    """An object of the YCB set: Z is up in its meshes."""
+    """Return an object of the YCB set: Z is up in its meshes."""
     mesh = load_mesh(file, up=(0, 0, 1), front=(0, 1, 0))
     asset = Asset(name=folder.name, mesh=mesh, category=_kind_name(folder.name), shapes=(hull_shape(mesh.vertices),))
     kinbody = next((k for k in (file.parent / "kinbody.xml", folder / "kinbody.xml") if is_file(k)), None)
@@ -188,7 +188,7 @@ def _kind_name(name: str) -> str:
 
 
 def _volume_m3(asset: Asset, scale: NDArray[np.float64]) -> float:
-    """Volume of the convex hull of an object."""
+    """Return the volume of the convex hull of an object."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -227,7 +227,7 @@ def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
 
 # --- in a home ------------------------------------------------------------------------------------------------------------
 def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed: int = 0) -> tuple[Scene, int]:
-    """The scene with models in place of its movable things, and how many were replaced.
+    """Return the scene with models in place of its movable things, and how many were replaced.
 
     A model stands where the thing stood, and turned as it was. One that is larger than the thing by more than `GROWTH_M`, or
     would touch what is around it, is not chosen; a thing for which there is none stays. ``scene.source["objects"]`` has mass
@@ -263,7 +263,7 @@ def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed:
 
 
 def _in_place_of(thing: Instance, box: NDArray[np.float64], model: ObjectModel, asset: Asset) -> Instance:
-    """The model upright on the spot where the thing stands, with its heading."""
+    """Return the model upright on the spot where the thing stands, with its heading."""
     # upright: a thing that lay on its side would put its model there too
     turn = quat_from_heading(heading_from_quat(thing.pose[3:]))
     pose = np.concatenate([np.zeros(3), turn]).astype(np.float64)

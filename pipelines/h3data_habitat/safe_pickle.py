@@ -27,12 +27,12 @@ _DTYPES = {"O8", "b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4
 
 
 def is_pickle(data: bytes) -> bool:
-    """Returns whether these bytes begin like a pickle of protocol 2 or later."""
+    """Return whether these bytes begin like a pickle of protocol 2 or later."""
     return len(data) > 1 and data[0] == 0x80 and 2 <= data[1] <= 5
 
 
 def load_pickle(data: bytes, path: Path | io.BytesIO, *, records: Mapping[tuple[str, str], Any] | None = None) -> Any:
-    """Loads dicts with text or integer keys, lists, tuples, numbers, texts, None and NumPy arrays.
+    """Load dicts with text or integer keys, lists, tuples, numbers, texts, None and NumPy arrays.
 
     Args:
         data: the pickle.
@@ -58,7 +58,7 @@ def load_pickle(data: bytes, path: Path | io.BytesIO, *, records: Mapping[tuple[
 
 
 def builtin(value: Any) -> Any:
-    """The plain value of an array or `Record`, as an ``enc_hook`` of msgspec."""
+    """Return the plain value of an array or `Record`, as an ``enc_hook`` of msgspec."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Record):
@@ -94,14 +94,14 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _check_memo(data: bytes) -> None:
-    """Refuses memo indices that the file is too short to fill: the unpickler would allocate all slots before them."""
+    """Refuse memo indices that the file is too short to fill: the unpickler would allocate all slots before them."""
     for opcode, argument, _ in pickletools.genops(data):
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and isinstance(argument, int) and argument > len(data):
             raise pickle.UnpicklingError(f"it stores a value under the number {argument}")
 
 
 def _unfolded_size(value: Any, sizes: dict[int, int], depth: int) -> int:
-    """Number of values in a tree whose branches may be shared; ``sizes`` holds those of containers, by identity."""
+    """Return the number of values in a tree whose branches may be shared; ``sizes`` holds those of containers, by identity."""
     if id(value) in sizes:
         return sizes[id(value)]
     if depth > MAX_DEPTH:
@@ -156,7 +156,7 @@ class _Array(np.ndarray):
 
 
 def _checked(data: Any, dtype: Any, shape: Any) -> np.dtype[Any]:
-    """The dtype of an array whose shape and data fit each other."""
+    """Return the dtype of an array whose shape and data fit each other."""
     if not isinstance(dtype, _DType):
         raise pickle.UnpicklingError("an array does not say what it holds")
     if not isinstance(shape, tuple) or len(shape) > 8 or not all(type(n) is int and n >= 0 for n in shape):
@@ -171,13 +171,13 @@ def _checked(data: Any, dtype: Any, shape: Any) -> np.dtype[Any]:
 
 
 def _reconstruct(*_: Any) -> _Array:
-    """The empty array whose state follows."""
+    """Return the empty array whose state follows."""
     # only the state, which is checked, gives it shape and contents
     return np.ndarray.__new__(_Array, (0,), "b")
 
 
 def _frombuffer(data: Any, dtype: Any, shape: Any, order: Any) -> NDArray[Any]:
-    """An array of protocol 5."""
+    """Return an array of protocol 5."""
     if order not in ("C", "F"):
         raise pickle.UnpicklingError(f"the order of an array is {order!r}")
     return np.frombuffer(data, _checked(data, dtype, shape)).reshape(shape, order=order)
@@ -188,7 +188,7 @@ def _scalar(dtype: Any, data: Any) -> Any:
 
 
 def _encode(text: Any, codec: Any) -> bytes:
-    """Bytes of protocol 2, which are written as text."""
+    """Return bytes of protocol 2, which are written as text."""
     if not isinstance(text, str) or codec != "latin1":
         raise pickle.UnpicklingError("bytes in an unknown codec")
     return text.encode("latin1")

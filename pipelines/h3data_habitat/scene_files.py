@@ -21,12 +21,12 @@ class Folders(Protocol):
         ...
 
     def resolve(self, uri: str) -> Path | None:
-        """The file that a recorded path means."""
+        """Return the file that a recorded path means."""
         ...
 
 
 def find_scene_file(path: str, folders: Folders | None) -> Path | None:
-    """The recorded path below a root, the longest end of it that leads to a file, or the only file of its name."""
+    """Return the recorded path below a root, the longest end of it that leads to a file, or the only file of its name."""
     path = clean_path(path) if path else ""
     if folders is None or not path.lower().endswith(HABITAT_ENDINGS):
         return None
@@ -56,5 +56,5 @@ def folders_of(assets: tuple[str, ...]) -> AssetFolders:
 
 @functools.lru_cache(maxsize=16)
 def dataset_at(path: str) -> SceneDataset:
-    """The scene dataset of a config, read once."""
+    """Return the scene dataset of a config, read once."""
     return load_scene_dataset(Path(path))

@@ -21,14 +21,14 @@ from h3data_habitat.scenes.templates import TemplateReader
 
 
 def read_scene(file: SceneFile) -> Scene:
-    """Reads a scene of Habitat with the options of the file; fails as `load_habitat_scene` does."""
+    """Read a scene of Habitat with the options of the file; fail as `load_habitat_scene` does."""
     return load_habitat_scene(
         file.path, file.scene or None, allow_missing=file.allow_missing, strict=file.strict, assets=file.assets
     )
 
 
 def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
-    """The mesh of an object template, in the frame of the object's logged poses: around its centre of mass [m].
+    """Return the mesh of an object template, in the frame of the object's logged poses: around its centre of mass [m].
 
     Habitat puts that at the config's ``COM``, else in the middle of the mesh's box (spec/habitat.md 6.1).
 
@@ -53,7 +53,7 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
 def scenes_with_objects(
     scenes: Sequence[Scene], objects: Path, assets: Sequence[str | Path]
 ) -> tuple[list[Scene], int, Mapping[str, Mapping[str, Any]]]:
-    """The scenes with objects of the YCB set or of Habitat's object configs, how many, and facts of every object."""
+    """Return the scenes with objects of the YCB set or of Habitat's object configs, how many, and facts of every object."""
     from h3data_habitat.object_models import load_object_models, with_object_models
 
     models = load_object_models(objects, assets=assets)
@@ -70,7 +70,7 @@ def write_dataset(
     split_building: bool = False,
     force: bool = False,
 ) -> Path:
-    """Writes scenes as a scene dataset; see `export_habitat_dataset`, which is imported at first use."""
+    """Write scenes as a scene dataset; see `export_habitat_dataset`, which is imported at first use."""
     from h3data_habitat.exporters.scenes import export_habitat_dataset
 
     return export_habitat_dataset(scenes, folder, name=name, split_building=split_building, force=force)

@@ -118,7 +118,7 @@ _Posed = tuple[Agent, dict[str, NDArray[Any]]]
 
 
 def _recognised(recording: Recording, index: int) -> Mapping[str, Any]:
-    """Returns how the reader of a gfx-replay recognised an agent."""
+    """Return how the reader of a gfx-replay recognised an agent."""
     records = recording.episode.info.get("agents", ())
     record = records[index] if isinstance(records, Sequence) and index < len(records) else {}
     return record if isinstance(record, Mapping) else {}
@@ -207,7 +207,7 @@ def _person(recording: Recording, index: int, body: Body, rig: Mapping[str, Any]
 
 
 def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[Array, Array] | None:
-    """Pose of a person from world poses of bones [T, B, 7].
+    """Return the pose of a person from world poses of bones [T, B, 7].
 
     Returns the pelvis [T, 7] and the local rotations of the other 54 joints [T, 54, 4]; None if the bones do not have
     the names of SMPL-X. Fingers and faces without bones are straight.
@@ -229,7 +229,7 @@ def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[
 # --- boxes ------------------------------------------------------------------------------------------------------------
 @lru_cache(maxsize=512)
 def named_box(uri: str) -> Mesh:
-    """A plain box with the name of a missing file on its sides, where the striped one of `placeholder_mesh` is."""
+    """Return a plain box with the name of a missing file on its sides, where the striped one of `placeholder_mesh` is."""
     kind = placeholder_kind(uri)
     low, high = placeholder_mesh(uri).bounds.astype(np.float64)
     color = BOX_COLORS[kind]
@@ -254,7 +254,7 @@ def named_box(uri: str) -> Mesh:
 
 
 def readable_name(uri: str) -> str:
-    """Name in words of an object from its recorded path, such as ``cracker box``.
+    """Return the name in words of an object from its recorded path, such as ``cracker box``.
 
     That is the name for ``ycb/003_cracker_box/google_16k/textured.obj``. If the file is named by a number or a digest,
     it is the object's kind.
@@ -274,7 +274,7 @@ def readable_name(uri: str) -> str:
 
 
 def _plate(text: str, color: Sequence[int]) -> Texture:
-    """The words of a text, one below the other, on a square of ``color``."""
+    """Return the words of a text, one below the other, on a square of ``color``."""
     import cv2
 
     image = np.full((TEXTURE_PX, TEXTURE_PX, 3), color, np.uint8)

@@ -85,7 +85,7 @@ class _Collector:
         return instance
 
     def opening(self, placed: Placed) -> list[Instance]:
-        """A piece with doors and drawers: its body and its parts."""
+        """Return a piece with doors and drawers: its body and its parts."""
         piece = placed.piece
         assert piece.opens is not None
         copies = self._count[f"of {id(piece)}"] = self._count.get(f"of {id(piece)}", -1) + 1
@@ -109,7 +109,7 @@ class _Collector:
 
 
 def build_home(spec: HomeSpec) -> Scene:
-    """A furnished home: rooms, walls with doors and windows, furniture, small objects to carry.
+    """Return a furnished home: rooms, walls with doors and windows, furniture, small objects to carry.
 
     World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z); an upper storey lies beside it.
     The ceiling and its lamps are in the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m radius can
@@ -137,13 +137,13 @@ def build_home(spec: HomeSpec) -> Scene:
 
 
 def _attempt(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
-    """Builds a home once and returns it with its faults."""
+    """Build a home once and return it with its faults."""
     layout = plan_layout(spec, attempt)
     return _sound_storey(spec, attempt, layout, _style(spec, layout, attempt))
 
 
 def _attempt_storeys(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
-    """A home with two storeys and the faults of either."""
+    """Return a home with two storeys and the faults of either."""
     below = replace(spec, storeys=1)
     above = replace(below, seed=upper_seed(spec.seed), style=spec.look)
     plan = plan_storeys(below, above, attempt)
@@ -170,7 +170,10 @@ def _dense(assets: dict[str, Asset], spec: HomeSpec) -> dict[str, Asset]:
 
 
 def _sound_storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> tuple[Scene, list[str]]:
-    """A furnished plan at y = 0, with its doors open, and its faults; leaves slide if the home has faults where they swing."""
+    """Return a furnished plan at y = 0, with its doors open, and its faults.
+
+    Leaves of doors slide if the home has faults where they swing.
+    """
     scene = _storey(spec, attempt, layout, style)
     if not spec.doors:
         return scene, faults(scene)
@@ -183,7 +186,7 @@ def _sound_storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) ->
 
 
 def _storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> Scene:
-    """A furnished plan at y = 0."""
+    """Return a furnished plan at y = 0."""
     states = _furnish(spec, attempt, layout, style)
     home = _Collector()
     _add_structure(home, layout, style, spec, attempt)
@@ -243,7 +246,7 @@ def _name(spec: HomeSpec) -> str:
 
 
 def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list[RoomState]:
-    """All rooms with their furniture.
+    """Return all rooms with their furniture.
 
     The dining table stands in the dining room if there is one, else in a kitchen above 10.5 m2 or in the living room; the
     other of the two is the fallback. A plan without a kitchen is that of an upper storey, where nobody dines.

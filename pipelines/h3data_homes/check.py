@@ -23,7 +23,7 @@ _REACH_SLACK = 0.01
 
 
 def open_floor(scene: Scene) -> BaseGeometry:
-    """The floor of all rooms minus obstacles, as a (multi)polygon in (x, z), not shrunk by any disc."""
+    """Return the floor of all rooms minus obstacles, as a (multi)polygon in (x, z), not shrunk by any disc."""
     import shapely
 
     from h3data.scene.freespace._footprints import scene_obstacles
@@ -33,7 +33,7 @@ def open_floor(scene: Scene) -> BaseGeometry:
 
 
 def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
-    """Positions that the centre of a disc can take on the floor of all rooms, as a (multi)polygon in (x, z)."""
+    """Return positions that the centre of a disc can take on the floor of all rooms, as a (multi)polygon in (x, z)."""
     return open_floor(scene).buffer(-radius, quad_segs=8)
 
 

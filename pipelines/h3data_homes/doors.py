@@ -98,7 +98,7 @@ def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Genera
 
 
 def closed_by_chance(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with some of its doors closed, most often those of private rooms."""
+    """Return the scene with some of its doors closed, most often those of private rooms."""
     closed = {}
     for name, thing in _doors(scene).items():
         near = sorted(scene.rooms, key=lambda room: _distance(room, thing.pose[:3]))[:2]
@@ -108,7 +108,7 @@ def closed_by_chance(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def doors_open(scene: Scene) -> Scene:
-    """The scene with all doors between rooms open."""
+    """Return the scene with all doors between rooms open."""
     return posed(scene, {name: thing.parts[0].joint.opened for name, thing in _doors(scene).items()})
 
 
@@ -118,7 +118,7 @@ def _doors(scene: Scene) -> dict[str, Articulation]:
 
 
 def _distance(room: Room, point: NDArray[np.float64]) -> float:
-    """Distance [m] of a point [3] from a room, far for one of another storey."""
+    """Return the distance [m] of a point [3] from a room, far for one of another storey."""
     low, high = np.asarray(room.rectangles)[:, :2], np.asarray(room.rectangles)[:, 2:]
     off = np.maximum(np.maximum(low - point[[0, 2]], point[[0, 2]] - high), 0.0)
     return float(np.hypot(*off.T).min()) + 10.0 * abs(room.floor_y - float(point[1]))
@@ -126,7 +126,7 @@ def _distance(room: Room, point: NDArray[np.float64]) -> float:
 
 # --- where a leaf goes --------------------------------------------------------------------------------------------------
 def _places(layout: Layout, doorway: Doorway, end: int) -> list[_Place]:
-    """The doorway with its hinge at one end, as both of its rooms see it."""
+    """Return the doorway with its hinge at one end, as both of its rooms see it."""
     found = []
     for name in doorway.rooms:
         room = layout.room(name)
@@ -150,7 +150,7 @@ def _by_room(places: Sequence[_Place]) -> list[_Place]:
 
 
 def _to_corner(place: _Place) -> float:
-    """Distance [m] from the hinge to the wall along which the leaf stands when it is open."""
+    """Return the distance [m] from the hinge to the wall along which the leaf stands when it is open."""
     x0, z0, x1, z1 = _square(place)
     a0, b0, a1, b1 = place.room.interior
     hinge = place.pose[[0, 2]]
@@ -160,7 +160,7 @@ def _to_corner(place: _Place) -> float:
 
 
 def _along(place: _Place) -> int:
-    """The plan axis along which the wall of a doorway runs."""
+    """Return the plan axis along which the wall of a doorway runs."""
     return 0 if abs(_axes(place)[0][0]) > 0.5 else 1
 
 
@@ -172,14 +172,14 @@ def _axes(place: _Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _square(place: _Place) -> NDArray[np.float64]:
-    """The part of the room (x0, z0, x1, z1) through which a leaf swings [m]."""
+    """Return the part of the room (x0, z0, x1, z1) through which a leaf swings [m]."""
     along, inward = _axes(place)
     corners = place.pose[[0, 2]] + np.array([np.zeros(2), along * place.width, inward * place.width])
     return np.concatenate([corners.min(0), corners.max(0)])
 
 
 def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDArray[np.float64]]) -> bool:
-    """Returns whether a leaf swings into a room without meeting anything, and leaves other doorways free when it is open."""
+    """Return whether a leaf swings into a room without meeting anything, and leave other doorways free when it is open."""
     square, (a0, b0, a1, b1) = _square(place), place.room.interior
     if square[0] < a0 - 1e-6 or square[1] < b0 - 1e-6 or square[2] > a1 + 1e-6 or square[3] > b1 + 1e-6:
         return False
@@ -194,7 +194,7 @@ def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDA
 
 
 def _slides(place: _Place, layout: Layout, doorway: Doorway) -> bool:
-    """Returns whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
+    """Return whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
     along = _axes(place)[0][doorway.axis]
     low, high = doorway.span
     pocket = (low - place.width, low) if along > 0 else (high, high + place.width)
@@ -224,7 +224,7 @@ def _furniture(scene: Scene) -> list[NDArray[np.float64]]:
 
 # --- the leaf -----------------------------------------------------------------------------------------------------------
 def _leaf(place: _Place, color: Color, metal: Color, *, slides: bool) -> Opening:
-    """A leaf with its fittings, in the frame of its place."""
+    """Return a leaf with its fittings, in the frame of its place."""
     side, width = place.side, place.width
     across = -(WALL_THICKNESS + THICK_M) / 2 if slides else -THICK_M
     ends = (GAP_M, width - GAP_M)

@@ -52,7 +52,7 @@ def _place(rects: np.ndarray, swap: bool = False) -> np.ndarray:
 
 
 def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
-    """A floor of boards or, in kitchens and bathrooms, of tiles, each with a tint of its own."""
+    """Return a floor of boards or, in kitchens and bathrooms, of tiles, each with a tint of its own."""
     mesh = MeshBuilder()
     if room.category not in style.floor_tile:
         boards, places = _planks(room.rect, rng)

@@ -82,7 +82,7 @@ class Layout:
 
 # --- rooms ------------------------------------------------------------------------------------------------------------
 def _oriented(rng: np.random.Generator, plan: Zoning) -> Zoning:
-    """The plan, mirrored and rotated at random."""
+    """Return the plan, mirrored and rotated at random."""
     flip_x, flip_z, swap = (rng.random(3) < 0.5).tolist()
 
     def moved(rect: Rect) -> Rect:
@@ -113,7 +113,7 @@ def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan,
 
 
 def interior_of(rect: Rect, width: float, depth: float) -> Rect:
-    """The floor between the wall faces of a room in a plan of this size."""
+    """Return the floor between the wall faces of a room in a plan of this size."""
     x0, z0, x1, z1 = rect
     half = WALL_THICKNESS / 2
     return (
@@ -126,7 +126,7 @@ def interior_of(rect: Rect, width: float, depth: float) -> Rect:
 
 # --- doors ------------------------------------------------------------------------------------------------------------
 def _pairs(values: Mapping[str, float]) -> dict[frozenset[str], float]:
-    """Values by pair of room types, from keys such as ``living-kitchen``; ``hall`` alone stands for two halls."""
+    """Return values by pair of room types, from keys such as ``living-kitchen``; ``hall`` alone stands for two halls."""
     return {frozenset(pair.split("-")): value for pair, value in values.items()}
 
 
@@ -220,7 +220,7 @@ def _door(
 
 
 def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...], generation: int = 1) -> list[Opening]:
-    """A minimum spanning tree of doors by `_DOOR_COST` (Kruskal), plus occasional `_EXTRA_DOORS`."""
+    """Return a minimum spanning tree of doors by `_DOOR_COST` (Kruskal), plus occasional `_EXTRA_DOORS`."""
     links = []
     for a, b in combinations(rooms, 2):
         wall = shared_wall(a.rect, b.rect)
@@ -283,7 +283,7 @@ class OuterWall:
 
 
 def outer_walls(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
-    """Stretches of a room's walls that no other room shares."""
+    """Return stretches of a room's walls that no other room shares."""
     walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
     stretches = []
     axes: tuple[Literal[0, 1], ...] = (1, 0)
@@ -302,7 +302,7 @@ def outer_walls(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
 
 
 def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[Opening]:
-    """The entrance and the windows."""
+    """Return the entrance and the windows."""
     openings: list[Opening] = []
     halls = sorted((r for r in rooms if r.category == "hall"), key=lambda r: -_narrow(r))
     host = next((r for r in (*halls, *rooms) if _entrances(r, rooms)), None)
@@ -397,7 +397,7 @@ def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:
 
 
 def _sound(plan: Zoning) -> bool:
-    """Returns whether a plan allows a door for every room and a window for every room that needs light."""
+    """Return whether a plan allows a door for every room and a window for every room that needs light."""
     rooms = _rooms(plan)
     try:
         _plan_doors(np.random.Generator(np.random.Philox(key=0)), rooms)

@@ -38,7 +38,7 @@ class Finish(tuple[int, int, int]):
     material: str
 
     def __new__(cls, color: Sequence[int], material: str) -> Finish:
-        """Creates a colour with a material.
+        """Create a colour with a material.
 
         Raises:
             InputError: there is no such material.
@@ -92,7 +92,7 @@ def _rows_columns() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _wave(x: Pattern) -> Pattern:
-    """A triangle wave of period 1 from 0 to 1."""
+    """Return a triangle wave of period 1 from 0 to 1."""
     return np.abs(2 * (x - np.floor(x)) - 1)
 
 
@@ -148,7 +148,7 @@ def _quilt(rng: np.random.Generator) -> Pattern:
 
 
 def _rug(rng: np.random.Generator) -> Pattern:
-    """Rows of knots with a zigzag woven in."""
+    """Return rows of knots with a zigzag woven in."""
     rows, columns = _rows_columns()
     zigzag = _wave(rows / 32 + _wave(columns / 32))
     knots = 0.5 * (rows % 2) + 0.7 * _noise(rng, 64, 64)
@@ -162,7 +162,7 @@ def _carpet(rng: np.random.Generator) -> Pattern:
 
 
 def _plaster(rng: np.random.Generator) -> Pattern:
-    """A painted wall: faint clouds and roller marks."""
+    """Return a painted wall: faint clouds and roller marks."""
     return 0.5 * _noise(rng, 4, 4) + 0.4 * _noise(rng, 16, 8) + 0.6 * _noise(rng, 64, 64)
 
 
@@ -216,7 +216,7 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
 
 @cache
 def texture(material: str) -> Texture:
-    """The image of a material; always the same object, so that meshes share it."""
+    """Return the image of a material; always the same object, so that meshes share it."""
     record = MATERIALS[material]
     seed = np.frombuffer(material.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
     darker = np.rint(record.make_pattern(np.random.Generator(np.random.Philox(key=seed))) * 65536).astype(np.int64)

@@ -94,7 +94,7 @@ def _longest_first(size: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid, NDArray[np.intp], NDArray[np.bool_]]:
-    """Boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each.
+    """Return boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each.
 
     Also returns the box of each vertex [V] and whether each triangle belongs to a bevel [F]. The computation is
     batched, because a home has thousands of boxes.
@@ -113,7 +113,7 @@ def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid,
 
 
 def cushion(size: NDArray[np.float64], radius: float) -> Solid:
-    """A box of full size [3] with rounded edges."""
+    """Return a box of full size [3] with rounded edges."""
     index, faces = _grid_cube(3)
     half = size / 2
     r = min(radius, 0.98 * float(half.min()))
@@ -129,7 +129,7 @@ def cushion(size: NDArray[np.float64], radius: float) -> Solid:
 
 @cache
 def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices [V, 3] of a pillow in the cube of half size 1, and its triangles."""
+    """Return vertices [V, 3] of a pillow in the cube of half size 1, and its triangles."""
     n = 6
     index, faces = _grid_cube(n)
     used = (index[:, 1] == 0) | (index[:, 1] == n)
@@ -144,7 +144,7 @@ def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 
 
 def pillow(size: NDArray[np.float64]) -> Solid:
-    """A puffed sheet of full size [3], thickest in the middle."""
+    """Return a puffed sheet of full size [3], thickest in the middle."""
     unit, faces = _pillow_template()
     vertices = unit * (size / 2)
     return Solid(vertices, _smooth_normals(vertices, faces), faces, vertices[:, ::2])
@@ -153,7 +153,7 @@ def pillow(size: NDArray[np.float64]) -> Solid:
 def lathe(
     profile: Sequence[tuple[float, float]], segments: int, stretch: tuple[float, float], repeat_m: float = 0.0
 ) -> Solid:
-    """A profile of (radius, height) revolved about y and stretched in x and z.
+    """Return a profile of (radius, height) revolved about y and stretched in x and z.
 
     With ``repeat_m``, the width after which a material repeats, the surface has a seam, so that the material goes around
     a whole number of times; parts flatter than 45 degrees are textured from above.
@@ -192,7 +192,7 @@ def lathe(
 
 @lru_cache(maxsize=64)
 def _turns(points: int, segments: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shares of a turn [points], ``segments`` of which are a whole one, and where they are on a circle [points, 2]."""
+    """Return shares of a turn [points], ``segments`` of which are a whole one, and where they are on a circle [points, 2]."""
     turn = np.arange(points) / segments
     angle = turn * (2 * np.pi)
     return turn, np.stack([np.sin(angle), np.cos(angle)], 1)
@@ -200,7 +200,7 @@ def _turns(points: int, segments: int) -> tuple[NDArray[np.float64], NDArray[np.
 
 @lru_cache(maxsize=512)
 def _strips(wide: tuple[bool, ...], points: int, segments: int) -> NDArray[np.int32]:
-    """Triangles [F, 3] of a lathe with a profile of ``points`` points.
+    """Return triangles [F, 3] of a lathe with a profile of ``points`` points.
 
     ``wide`` marks the points away from the axis, where there is a triangle and not an edge. The result is shared: never
     write to it.

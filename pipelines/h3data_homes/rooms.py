@@ -223,7 +223,7 @@ def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, ro
 
 # --- bedrooms ---------------------------------------------------------------------------------------------------------
 def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int) -> list[Member]:
-    """A bed with nightstands on ``tables`` sides."""
+    """Return a bed with nightstands on ``tables`` sides."""
     bed, table = sleeping.bed(rng, style, width), sleeping.nightstand(rng, style)
     members = [backed(bed)]
     aside = bed.size[0] / 2 + table.size[0] / 2 + 0.03

@@ -18,17 +18,17 @@ Color = tuple[int, int, int]
 
 
 def material_of(color: object) -> str:
-    """The material of a `Finish`; "" for a plain colour."""
+    """Return the material of a `Finish`; "" for a plain colour."""
     return color.material if isinstance(color, Finish) else ""
 
 
 def shade(color: Sequence[int], factor: float) -> Color:
-    """The colour made darker (factor < 1) or lighter; a finish keeps its material."""
+    """Return the colour made darker (factor < 1) or lighter; a finish keeps its material."""
     return _scaled(color, (factor, factor, factor))
 
 
 def vary(rng: np.random.Generator, color: Sequence[int], amount: float = 0.06) -> Color:
-    """The colour with its brightness changed at random by up to +-``amount``, and its hue slightly; see `shade`."""
+    """Return the colour with its brightness changed at random by up to +-``amount``, and its hue slightly; see `shade`."""
     brightness, *hue = ((2 * rng.random(4) - 1) * amount).tolist()
     return _scaled(color, [1 + brightness + h / 4 for h in hue])
 

@@ -28,7 +28,7 @@ class HomePreset:
     extra: tuple[str, ...] = ()
     """Other required rooms."""
     children: int = 0
-    """Bedrooms that are children's rooms (second generation)."""
+    """Number of bedrooms that are furnished for children (second generation)."""
     generation: int = 1
 
     @property
@@ -88,7 +88,7 @@ _LATER: Mapping[str, Any] = MappingProxyType(
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:
-    """Smallest floor area for a home with this many rooms [m2]."""
+    """Return the smallest floor area for a home with this many rooms [m2]."""
     return 24.0 + 23.0 * bedrooms + 15.0 * bathrooms
 
 
@@ -125,7 +125,7 @@ class HomeSpec:
     """True if doorways have doors, some of them closed (second generation). The rest of the home stays the same."""
 
     def __repr__(self) -> str:
-        """Text of the specification, from which jobs and recordings derive their identity.
+        """Return the text of the specification, from which jobs and recordings derive their identity.
 
         It is that of a plain dataclass, without fields that were added later and have their default values.
         """
@@ -234,7 +234,7 @@ def _extra_rooms(area_m2: float, bedrooms: int, bathrooms: int) -> tuple[str, ..
 
 
 def seed_look(seed: int) -> Look:
-    """The style that a seed stands for."""
+    """Return the style that a seed stands for."""
     digest = hashlib.sha256(f"h3data.homes/look/{int(seed)}".encode()).digest()
     return get_args(Look)[digest[0] % len(get_args(Look))]
 

@@ -110,7 +110,7 @@ def wall_boxes(layout: Layout) -> list[WallBox]:
 
 
 def box_shape(low: Iterable[float], high: Iterable[float]) -> Box:
-    """A collision box between two corners."""
+    """Return a collision box between two corners."""
     a, b = np.array(list(low), float), np.array(list(high), float)
     pose = IDENTITY_POSE.copy()
     pose[:3] = (a + b) / 2
@@ -133,7 +133,7 @@ def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece
 
 
 def face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
-    """Corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
+    """Return corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
     u0, y0, u1, y1 = piece
     ring = [(u0, y0), (u1, y0), (u1, y1), (u0, y1)]
     if (outward > 0) == (axis == 1):
@@ -154,14 +154,14 @@ def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, fl
 
 
 def _below_above(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Piece]]:
-    """The parts of the pieces below a height and those above it."""
+    """Return the parts of the pieces below a height and those above it."""
     below = [(u0, y0, u1, min(y1, height)) for u0, y0, u1, y1 in pieces if y0 < height]
     above = [(u0, max(y0, height), u1, y1) for u0, y0, u1, y1 in pieces if y1 > height]
     return below, above
 
 
 def walls_asset(layout: Layout, style: Style) -> Asset:
-    """All walls: painted per room inside, tiled up to 1.5 m in bathrooms; their boxes are the collision shapes."""
+    """Return all walls: painted per room inside, tiled up to 1.5 m in bathrooms; their boxes are the collision shapes."""
     mesh = MeshBuilder()
     for room in layout.rooms:
         paint = style.paint[room.name]
@@ -222,7 +222,7 @@ def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -
 
 
 def ceiling_asset(layout: Layout, style: Style) -> Asset:
-    """A slab over the whole home, or one per room if the footprint has notches; hide its layer in views from above."""
+    """Return a slab over the whole home, or one per room if the footprint has notches; hide its layer in views from above."""
     mesh = MeshBuilder()
     whole = (0.0, 0.0, layout.width, layout.depth)
     for rect in [r.rect for r in layout.rooms] if layout.notches else [whole]:
@@ -258,7 +258,7 @@ def wall_bar(
     height: tuple[float, float],
     color: Color,
 ) -> None:
-    """Adds a box along a wall to a mesh, given its range along the wall, across it, and in height."""
+    """Add a box along a wall to a mesh, given its range along the wall, across it, and in height."""
     x0, z0, x1, z1 = plan_box(axis, along, (min(across), max(across)))
     mesh.span((x0, height[0], z0), (x1, height[1], z1), color)
 
@@ -271,7 +271,7 @@ def _casing(mesh: MeshBuilder, axis: int, o: Opening, across: tuple[float, float
 
 
 def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
-    """A window: frame, sky-coloured panes and an inner sill."""
+    """Return a window: frame, sky-coloured panes and an inner sill."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     into = 1 if layout.room(opening.rooms[0]).rect[1 - opening.axis] == opening.line else -1
@@ -294,7 +294,7 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
 
 
 def balustrade_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
-    """A handrail on the parapet of a balcony."""
+    """Return a handrail on the parapet of a balcony."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     middle, (u0, u1), y = (c0 + c1) / 2, opening.span, opening.height[0]
@@ -303,7 +303,7 @@ def balustrade_asset(layout: Layout, opening: Opening, index: int, style: Style)
 
 
 def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "front_door") -> Asset:
-    """The closed front door, or the door of a garage."""
+    """Return the closed front door, or the door of a garage."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     middle = (c0 + c1) / 2
@@ -327,7 +327,7 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "
 
 
 def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng: np.random.Generator) -> Asset:
-    """A roller blind over a window, partly lowered."""
+    """Return a roller blind over a window, partly lowered."""
     mesh = MeshBuilder()
     room = layout.room(opening.rooms[0])
     across = 1 - opening.axis

@@ -72,7 +72,7 @@ def _floor_tiles(kitchen: Color, bathroom: Color) -> dict[str, Color]:
 
 
 def sample_style(rng: np.random.Generator, layout: Layout) -> Style:
-    """A random, matching set of colours for a home."""
+    """Return a random, matching set of colours for a home."""
 
     def pick(colors: Sequence[Color], material: str = "", amount: float = 0.04) -> Color:
         color = vary(rng, colors[int(rng.integers(len(colors)))], amount)

@@ -17,7 +17,7 @@ from h3data_homes.spec import HomePreset, HomeSpec, stage_rng
 
 CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
-"""Share of its bounding box that an L- or T-shaped footprint leaves out."""
+"""Share of the bounding box that an L- or T-shaped footprint leaves out."""
 _SQUARE_BELOW_M2 = 90.0
 """Smaller homes are rectangles: they have too few rooms to go around a corner."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
@@ -40,12 +40,12 @@ class Zoning:
 
 
 def rect_area(rect: Rect) -> float:
-    """Area of a rectangle [m^2]."""
+    """Return the area of a rectangle [m^2]."""
     return (rect[2] - rect[0]) * (rect[3] - rect[1])
 
 
 def rounded(rect: Rect) -> Rect:
-    """The rectangle rounded to centimetres, so that neighbours share exactly the same line."""
+    """Return the rectangle rounded to centimetres, so that neighbours share exactly the same line."""
     a, b, c, d = (round(v, 2) for v in rect)
     return a, b, c, d
 
@@ -120,7 +120,7 @@ def _touch_penalty(tiles: Sequence[Tile]) -> float:
 
 
 def with_balcony(rng: np.random.Generator, tiles: list[Tile], width: float, depth: float) -> list[Tile]:
-    """The tiles with a balcony cut off from the outer side of the living room; unchanged if it has no room for one."""
+    """Return the tiles with a balcony cut off from the outer side of the living room; unchanged if it has no room for one."""
     k = next(i for i, (kind, _) in enumerate(tiles) if kind == "living")
     rect = tiles[k][1]
     x0, z0, x1, z1 = rect
@@ -179,7 +179,7 @@ def _private(rng: np.random.Generator, program: HomePreset) -> list[str]:
 
 
 def _wing(rng: np.random.Generator, shape: str, part: float, depth: float, share: float) -> tuple[float, float]:
-    """Both ends in z of the public wing, which takes ``part`` of the width; shorter than the home in L and T shapes."""
+    """Return both ends in z of the public wing, which takes ``part`` of the width; shorter than the home in L and T shapes."""
     missing = share * depth / part if shape in ("L", "T") else 0.0
     below = missing * {"L": float(rng.integers(2)), "T": rng.uniform(0.4, 0.6)}.get(shape, 0.0)
     return below, depth - (missing - below)
@@ -230,7 +230,7 @@ def _spine_across(
 
 
 def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
-    """The best of up to 400 plans of a home with one corridor.
+    """Return the best of up to 400 plans of a home with one corridor.
 
     Raises:
         SceneError: no plan was acceptable.

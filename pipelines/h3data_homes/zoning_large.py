@@ -136,7 +136,7 @@ def _aspect(a: float, b: float) -> float:
 
 
 def _cut_in_two(rng: np.random.Generator, zone: _Zone, share: float) -> tuple[Rect, Rect]:
-    """The zone cut into a part at the corridor and a second part, of ``share`` of the area, behind or beside it.
+    """Return the zone cut into a part at the corridor and a second part, of ``share`` of the area, behind or beside it.
 
     Behind only if the second part is less elongated there, and even then by a coin toss (unless beside would be longer
     than 2.9:1), because a part behind takes the outer wall, and with it the windows, from the first.
@@ -151,7 +151,7 @@ def _cut_in_two(rng: np.random.Generator, zone: _Zone, share: float) -> tuple[Re
 
 
 def _fill_cell(rng: np.random.Generator, zone: _Zone, cell: _Cell) -> list[Tile]:
-    """The zone divided among the one to three rooms of a cell."""
+    """Return the zone divided among the one to three rooms of a cell."""
     first, *rest = cell.rooms
     if not rest:
         return [(first, zone.rect)]
@@ -173,12 +173,12 @@ _Unit = _Cell | tuple["_Cell", ...]
 
 
 def _unit_area(unit: _Unit) -> float:
-    """Area of a unit [m2]; a branch corridor takes about 17% of its cells' area in addition."""
+    """Return the area of a unit [m2]; a branch corridor takes about 17% of its cells' area in addition."""
     return unit.area if isinstance(unit, _Cell) else 1.17 * add_up(c.area for c in unit)
 
 
 def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> list[Tile]:
-    """A zone filled with units side by side along its corridor."""
+    """Return a zone filled with units side by side along its corridor."""
     length, depth = zone.size
     areas = np.array([_unit_area(u) for u in units]) * rng.uniform(0.92, 1.08, len(units))
     cuts = np.concatenate([[0.0], np.cumsum(areas) / areas.sum()]) * length
@@ -190,7 +190,7 @@ def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> 
 
 
 def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) -> list[Tile]:
-    """A zone with a corridor into its middle and a row of cells on each side of that corridor."""
+    """Return a zone with a corridor into its middle and a row of cells on each side of that corridor."""
     length, depth = zone.size
     order = [cells[i] for i in rng.permutation(len(cells)).tolist()]
     halves: tuple[list[_Cell], list[_Cell]] = ([], [])
@@ -209,7 +209,7 @@ def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) 
 
 
 def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
-    """The public cells, which stay adjacent and in order, and all other cells."""
+    """Return the public cells, which stay adjacent and in order, and all other cells."""
     if program.generation > 1:
         return _cells_2(program)
     rooms = list(program.extra)
@@ -236,7 +236,7 @@ def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
 
 
 def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
-    """The cells of the second generation: children's rooms have no bathroom of their own, parents' may have one."""
+    """Return the cells of the second generation: children's rooms have no bathroom of their own, parents' may have one."""
     suites = max(0, min(program.bedrooms - program.children, program.bathrooms - 1))
     single = [*["bedroom"] * (program.bedrooms - program.children - suites), *["child"] * program.children]
     single += ["bathroom"] * (program.bathrooms - suites)
@@ -282,7 +282,7 @@ Shape = Literal["rectangle", "L", "T"]
 
 
 def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -> tuple[float, Zoning]:
-    """One random plan and its penalty."""
+    """Return one random plan and its penalty."""
     public, others = _cells(program)
     wide = program.area_m2 > _SERVICE_FROM_M2
     corridor = round(float(rng.uniform(*(_GALLERY if wide else _NARROW))), 2)
@@ -339,7 +339,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
 
 
 def _gallery(rng: np.random.Generator, rect: Rect) -> list[Tile]:
-    """The gallery as one to three halls, depending on its length, that open into each other."""
+    """Return the gallery as one to three halls, depending on its length, that open into each other."""
     x0, z0, x1, z1 = rect
     count = 1 if x1 - x0 < 12 else 2 if x1 - x0 < 26 else 3
     cuts = [x0, *(x0 + (x1 - x0) * (k + rng.uniform(-0.15, 0.15)) / count for k in range(1, count)), x1]
@@ -347,7 +347,7 @@ def _gallery(rng: np.random.Generator, rect: Rect) -> list[Tile]:
 
 
 def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bool]) -> Zoning:
-    """The best of up to 250 plans of a home around a gallery for which ``sound`` confirms doors and windows.
+    """Return the best of up to 250 plans of a home around a gallery for which ``sound`` confirms doors and windows.
 
     Rectangles, L and T shapes are tried in random order; the first shape with an acceptable plan is taken.
 

@@ -59,7 +59,7 @@ SESSIONS: dict[str, tuple[str, ...]] = {
 
 
 def build() -> str:
-    """Runs everything and replaces the folder; says what it holds."""
+    """Run everything and replace the folder; say what it holds."""
     if sys.platform != "linux" or not shipped.folder_name().endswith(shipped.LEVEL):
         raise SystemExit(f"Kernels are shipped for Linux on x86-64; this is {shipped.folder_name()}.")
     with TemporaryDirectory() as scratch, ThreadPoolExecutor(core_count()) as pool:
@@ -93,7 +93,7 @@ def _run(name: str, scratch: Path, recorded: Path) -> None:
 
 
 def _replace(folder: Path, recorded: Path) -> str:
-    """Makes ``folder`` hold what was recorded. Files that are there already stay as they are, byte for byte."""
+    """Make ``folder`` hold what was recorded. Files that are there already stay as they are, byte for byte."""
     before = {path.name for path in folder.glob("*")}
     now = {path.name: path.stat().st_size for path in recorded.glob("*.nbc.xz")}
     folder.mkdir(exist_ok=True)

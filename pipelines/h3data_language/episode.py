@@ -39,7 +39,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, Target, free_sp
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 ATTEMPTS = 60
-"""Choices of a template, things and places that are tried."""
+"""Number of choices of a template, things and places that are tried."""
 NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
 """Distance between things that are placed next to each other [m], well within the limit of the proposition."""
@@ -166,7 +166,7 @@ class SpotFinder:
         other: str = "",
         anchor: tuple[Array, str] | None = None,
     ) -> tuple[Array, str] | None:
-        """A free spot [3] for a thing on or inside some furniture, and its receptacle; None: there is none.
+        """Return a free spot [3] for a thing on or inside some furniture, and its receptacle; None: there is none.
 
         Names that begin with `FLOOR` stand for the floor of a room. With ``anchor``, the spot and receptacle of the thing
         ``other``, it is next to that.
@@ -190,7 +190,7 @@ class SpotFinder:
         return None
 
     def _floor(self, name: str, thing: Instance, anchor: tuple[Array, str] | None) -> list[tuple[Instance, Receptacle]]:
-        """Points on the floor of a room as surfaces of the size of a thing, beside walls and furniture."""
+        """Return points on the floor of a room as surfaces of the size of a thing, beside walls and furniture."""
         room, radius = name.removeprefix(FLOOR), object_extent(self.home.scene, thing)[0]
         parts = np.array(self.home.layout.rooms[room], np.float64)
         low, high = parts[:, :2].min(0), parts[:, 2:].max(0)
@@ -228,7 +228,7 @@ class _Draw:
         self.home, self.spec, self.rng = self.spots.home, self.spots.spec, self.spots.rng
 
     def task(self, starts: Starts) -> LanguageTask | None:
-        """The task; None if the home has nothing for a slot, or no room, or the result fails a check."""
+        """Return the task; None if the home has nothing for a slot, or no room, or the result fails a check."""
         slots = sorted({slot for clause in self.template.clauses for each in clause_parts(clause)[2] for slot in each})
         things, places, rooms, insides = ([s for s in slots if s in kind] for kind in ("abc", "pq", "rs", "uv"))
         more = self.spec.objects - len(things)
@@ -259,7 +259,7 @@ class _Draw:
         return {slot: known[k] for slot, k in zip(slots, self.rng.permutation(len(known)), strict=False)}
 
     def _things(self, slots: Sequence[str]) -> dict[str, str] | None:
-        """A thing for each slot, of different kinds, to which can be done what the template asks for."""
+        """Return a thing for each slot, of different kinds, to which can be done what the template asks for."""
         scene, found, kinds = self.home.scene, {}, set()
         verbs = {
             s: v for c in self.template.clauses for n, v, lists in [clause_parts(c)] for s in lists[0] if v in HANDLING
@@ -431,7 +431,7 @@ class _Draw:
 
 
 def in_scene(receptacle: str) -> str:
-    """The name of a receptacle as scenes have it; empty for a place on the floor."""
+    """Return the name of a receptacle as scenes have it; empty for a place on the floor."""
     return "" if receptacle.startswith(FLOOR) else receptacle
 
 

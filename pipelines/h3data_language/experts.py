@@ -31,11 +31,11 @@ EXPERTS = ("language_expert", "language_greedy", "language_talk", "language_stil
 HANDLING_M = 1.4
 """Distance from which a person handles a thing [m]; somewhat less than the task allows."""
 HANDLING_WAIT = 15
-"""Steps for which a person handles a thing; somewhat more than it takes."""
+"""Number of steps for which a person handles a thing; somewhat more than it takes."""
 PAUSE = 8
-"""Steps after which an agent without an errand asks again."""
+"""Number of steps after which an agent without an errand asks again."""
 AVOID = 90
-"""Steps for which an errand is left after failures."""
+"""Number of steps for which an errand is left after failures."""
 LATE = 600
 """Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
 PLACED = ("is_on_top", "is_inside", "is_in_room")
@@ -102,7 +102,7 @@ class Plan:
         ]
 
     def early(self, view: RearrangeView, agent: int) -> int:
-        """The nearest errand whose thing an agent can fetch while others do what has to be done before; -1: none."""
+        """Return the nearest errand whose thing an agent can fetch while others do what has to be done before; -1: none."""
         done, theirs = self.done(view), {n for a, n in self.doing.items() if a != agent}
         things = {self.errands[n].thing for n in theirs}
         found = [
@@ -124,7 +124,7 @@ class Plan:
         return not set(self.errands[n].after) <= self.done(view)
 
     def rescue(self, view: RearrangeView, agent: int) -> int:
-        """The errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
+        """Return the errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
         for other, n in self.doing.items():
             thing = self.errands[n].thing
             late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY and view.is_known(thing)
@@ -134,7 +134,7 @@ class Plan:
         return -1
 
     def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
-        """Path of an errand from somewhere, its work included [m], and where it ends."""
+        """Return the path of an errand from somewhere, its work included [m], and where it ends."""
         errand = self.errands[n]
         start = view.objects[errand.thing, [0, 2]]
         length = self._path(view, here, start) + WORK_M
@@ -144,7 +144,7 @@ class Plan:
         return length + self._path(view, start, goal), goal
 
     def _path(self, view: RearrangeView, start: Any, end: Any) -> float:
-        """Length of the shortest path between two floor points [2] that may be in furniture [m]."""
+        """Return the length of the shortest path between two floor points [2] that may be in furniture [m]."""
         key = (*np.round(start, 2).tolist(), *np.round(end, 2).tolist())
         if key not in self.paths:
             length = float(view.free.geodesic(start, end, max_snap_m=2.0))
@@ -152,7 +152,7 @@ class Plan:
         return self.paths[key]
 
     def choose(self, view: RearrangeView, agent: int) -> int:
-        """The errand that an agent does next; -1: none."""
+        """Return the errand that an agent does next; -1: none."""
         mine = self.open(view, agent)
         if not mine:
             return -1
@@ -211,7 +211,7 @@ class Expert:
         """Primitives by which it gets free, the next one first."""
 
     def _begin(self, view: RearrangeView) -> None:
-        """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
+        """Join the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
         shared, self.begun = _SHARED.get(self.episode), True
         stale = shared is None or self.number in shared.asked_at or max(shared.asked_at.values()) > view.step
         if shared is None or stale:
@@ -220,7 +220,7 @@ class Expert:
             self.plan = shared
 
     def act(self, view: RearrangeView) -> Action:
-        """The next skill of the present errand, or of the one that it takes up."""
+        """Return the next skill of the present errand, or of the one that it takes up."""
         if not self.greedy and not self.begun:
             self._begin(view)
         plan = self.plan
@@ -253,7 +253,7 @@ class Expert:
         return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
+        """Return the reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
         action = view.action
         if action is not None and is_search(action) and self.number not in self.plan.doing:
             over = action.skill == SEARCH and self.search.is_over(view)
@@ -270,7 +270,7 @@ class Expert:
         return view.held_by[thing] == view.agent or (view.held_by[thing] == NOBODY and not far)
 
     def _note(self, view: RearrangeView) -> None:
-        """Takes in how the last skill ended."""
+        """Take in how the last skill ended."""
         now = self.plan.doing.get(self.number, -1)
         if now < 0 or view.last is None or view.action is None or view.action.skill in PRIMITIVES:
             return
@@ -294,7 +294,7 @@ class Expert:
                 self.plan.handled.add(now)
 
     def _elsewhere(self, thing: int) -> Action:
-        """Chooses another spot, where the task allows it, for a thing that does not get to its goal."""
+        """Choose another spot, where the task allows it, for a thing that does not get to its goal."""
         name, beside, places = self.episode.targets[thing].name, False, list[str]()
         asked = [p for p in Evaluation.of(self.episode.extra).propositions if name in p.things[0]]
         low = FLOOR if any(p.function_name == "is_on_floor" for p in asked) else ""
@@ -330,7 +330,7 @@ class Talker(Speaker, Expert):
         """True if somebody has asked it to move and it has not yet; true while it walks out of the way."""
 
     def _choose(self, view: RearrangeView) -> Action:
-        """The next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""
+        """Return the next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""
         # a search that has ended was not at the place of which somebody has told
         hinted = self._listen(view) and self.number not in self.plan.doing
         action = Expert.act(self, view._replace(last=None) if hinted else view)
@@ -339,7 +339,7 @@ class Talker(Speaker, Expert):
         return aside or action
 
     def _aside(self, view: RearrangeView) -> Action | None:
-        """The way to the nearest thing that is not beside the one who asks; None: there is none."""
+        """Return the way to the nearest thing that is not beside the one who asks; None: there is none."""
         far = [
             k
             for k in range(len(view.objects))
@@ -349,11 +349,11 @@ class Talker(Speaker, Expert):
         return None if near is None else Action("nav_to_object", near)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
+        """Return the reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
         return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:
-        """Makes the messages about everything that has changed since the last ones."""
+        """Make the messages about everything that has changed since the last ones."""
         now, before, plan = self.plan.doing.get(self.number, -1), self._taken, self.plan
         if now != before and now >= 0:
             self._say.append(say("i_take", self._names[plan.errands[now].thing]))
@@ -405,7 +405,7 @@ class Idle:
 
 
 def expert(name: str, episode: Any, number: int, kinds: Sequence[str]) -> Any:
-    """A fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
+    """Return a fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
     if name == "language_still":
         return Idle()
     if name == "language_talk":

@@ -46,7 +46,7 @@ class Home:
     insides: Mapping[str, Place]
     """Furniture in which things can be put behind doors or in drawers, by words."""
     rooms: Mapping[str, str]
-    """Rooms by words."""
+    """Names of rooms in the scene by their names in words."""
     surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
     """Open surfaces by the name of their furniture."""
     enclosed: Mapping[str, list[tuple[Instance, Receptacle]]]
@@ -60,7 +60,7 @@ class Home:
 
 
 def spoken(name: str) -> str:
-    """Words for a kind or a room: ``bedroom_1`` is "bedroom 1"."""
+    """Return words for a kind or a room: ``bedroom_1`` is "bedroom 1"."""
     head, _, number = name.rpartition("_")
     if number.isdigit():
         return f"{_ROOMS.get(head, head.replace('_', ' '))} {number}"
@@ -68,7 +68,7 @@ def spoken(name: str) -> str:
 
 
 def room_words(room: str) -> str:
-    """Words for one room: "the kitchen", "bedroom 1"."""
+    """Return words for one room: "the kitchen", "bedroom 1"."""
     words = spoken(room)
     return words if words[-1].isdigit() else f"the {words}"
 
@@ -131,7 +131,7 @@ def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -
 
 
 def room_at(layout: Layout, point: Iterable[float]) -> str:
-    """Name of the room over whose floor a point [3] of the world is; empty if it is in none."""
+    """Return the name of the room over whose floor a point [3] of the world is; empty if it is in none."""
     x, _, z = point
     inside = (r for r, parts in layout.rooms.items() if any(a <= x <= c and b <= z <= d for a, b, c, d in parts))
     return next(inside, "")
@@ -155,7 +155,7 @@ def clause_parts(clause: str) -> tuple[int, str, list[list[str]]]:
 
 
 def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposition | None:
-    """The proposition of a clause whose slots mean these names; None for one that asks for nothing."""
+    """Return the proposition of a clause whose slots mean these names; None for one that asks for nothing."""
     number, verb, lists = clause_parts(clause)
     first, *rest = ([name for slot in each for name in slots[slot]] for each in lists)
     if verb == "at":

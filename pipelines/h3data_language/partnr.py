@@ -42,7 +42,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.tasks.rearrange.episode import Target
 
 TRIES = 8
-"""Choices of places that are tried."""
+"""Number of random placements of the objects that are tried."""
 LONGEST_INSTRUCTION = 5_000
 """Largest number of characters in an instruction, which language models read again with each decision."""
 MAX_STEPS = 20_000
@@ -226,7 +226,7 @@ class PartnrPlan:
             stage.anchor = stage.anchor or anchor
 
     def _fits(self, name: str, k: int, furniture: set[str] | None, inside: bool) -> _Stage | None:
-        """The stage of a thing by which a proposition becomes true as well, if there is one."""
+        """Return the stage of a thing by which a proposition becomes true as well, if there is one."""
         for stage in self.stages.get(name, ()):
             if stage.rank != self.rank[k]:
                 continue
@@ -304,7 +304,7 @@ class PartnrPlan:
         return found
 
     def errands(self) -> tuple[Errand, ...]:
-        """The work, with its order."""
+        """Return the work, with its order."""
         found: list[Errand] = []
         of: list[list[int]] = []
         for name, stages in self.stages.items():
@@ -397,7 +397,7 @@ def _sources(record: StoredLanguage, scene: Scene) -> dict[str, str]:
 
 
 def owner_in(receptacle: str) -> str:
-    """Name of the furniture in that of a receptacle: ``counter_0`` in ``counter_0/drawer_1|bottom``."""
+    """Return the name of the furniture in that of a receptacle: ``counter_0`` in ``counter_0/drawer_1|bottom``."""
     name = receptacle.partition("|")[0]
     return name if name.startswith(FLOOR) else name.partition("/")[0]
 

@@ -49,7 +49,7 @@ class LanguageDriver(SkillDriver):
     """Agent of a task in words: it also brings things to places by their names, and people clean, fill, pour and switch."""
 
     def follow(self, message: Act) -> str:
-        """Carries out a message; those of tasks in words become skills."""
+        """Carry out a message; those of tasks in words become skills."""
         if isinstance(message, Use):
             return self.use(message)
         if isinstance(message, Bring):
@@ -77,7 +77,7 @@ class LanguageDriver(SkillDriver):
         return self.do([Action("nav_to_object", k), handle] if walks and why else [handle])
 
     def bring(self, k: int, to: Destination) -> str:
-        """Brings held thing ``k`` to a free spot at a destination; the goals of the task stay as they are."""
+        """Bring held thing ``k`` to a free spot at a destination; the goals of the task stay as they are."""
         team: Any = self.session.play.team
         found = team.spot_for(k, to)
         if isinstance(found, str):
@@ -98,7 +98,7 @@ class LanguageRobot(LanguageDriver, RobotDriver):
     """Robot of a task in words, which puts things down at goals only: it gives the thing another one."""
 
     def bring(self, k: int, to: Destination) -> str:
-        """Gives held thing ``k`` a goal at a destination and brings it there."""
+        """Give held thing ``k`` a goal at a destination and bring it there."""
         found = self.session.play.team.spot_for(k, to)  # type: ignore[attr-defined]
         if isinstance(found, str):
             return sentence(found)
@@ -141,7 +141,7 @@ class LanguageApp(RearrangeApp):
         return []
 
     def phrases(self) -> list[Phrase]:
-        """Messages of one press: which thing a player takes or has brought, and that somebody stands in the way."""
+        """Return messages of one press: which thing a player takes or has brought, and that somebody stands in the way."""
         things = self.session.play.team.objects.names  # type: ignore[attr-defined]
         found = [
             Phrase(self.spoken(said.text), said.text)
@@ -153,7 +153,7 @@ class LanguageApp(RearrangeApp):
         return [Phrase(text, text) for text in free] + [Phrase(SAID["please_move"], "please_move"), *found]
 
     def spots(self) -> list[Spot]:
-        """All furniture on or in which things can be put, each room, and its floor, by room."""
+        """Return all furniture on or in which things can be put, each room, and its floor, by room."""
         home = home_of(self.session.episode.scene, self.session.episode.spec.open_m)
         spots = [Spot(name, f"anywhere in {words}", spoken(name)) for words, name in home.rooms.items()]
         spots += [
@@ -169,7 +169,7 @@ class LanguageApp(RearrangeApp):
         return sorted(spots, key=lambda spot: spot.room)
 
     def spoken(self, text: str) -> str:
-        """A sentence for a message of a planner; what people and language models say as it is."""
+        """Return a sentence for a message of a planner; what people and language models say as it is."""
         intent = Intent.of(text)
         if intent is None:
             return text

@@ -14,7 +14,7 @@ from sim_kinematic.policies.rearrange import Chooser, robot_policy
 from sim_kinematic.policies.searching import Search, Seeking
 
 LATE = 600
-"""Steps after which an object that somebody has said to take, and has not taken, is free for others."""
+"""Number of steps after which an object that somebody has said to take, and has not taken, is free for others."""
 
 
 def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
@@ -72,7 +72,7 @@ class Teller(Speaker):
         return self._nearest(view, [k for k in left if k not in others])
 
     def _tell(self, view: RearrangeView) -> None:
-        """Makes the messages about everything that has changed since the last ones."""
+        """Make the messages about everything that has changed since the last ones."""
         now = self._chooser._object
         if now != self._taken:
             if now >= 0:
@@ -84,7 +84,7 @@ class Teller(Speaker):
             self._known |= self._tell_places(view, self._known)
 
     def _listen(self, view: RearrangeView) -> None:
-        """Takes in the messages of others since the last time."""
+        """Take in the messages of others since the last time."""
         for event in view.messages[self._heard :]:
             intent = Intent.of(event.detail)
             if event.agent == self.number or intent is None or not intent.names or intent.names[0] not in self._names:

@@ -75,10 +75,10 @@ class Speaker(ABC):
 
     @abstractmethod
     def _tell(self, view: RearrangeView) -> None:
-        """Makes the messages about everything that has changed since the last ones."""
+        """Make the messages about everything that has changed since the last ones."""
 
     def _tell_places(self, view: RearrangeView, told: set[int]) -> set[int]:
-        """Says where objects are that were not ``told``; returns those whose places are known."""
+        """Say where objects are that were not ``told``; return those whose places are known."""
         assert view.places is not None
         known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
         for k in sorted(known - told):

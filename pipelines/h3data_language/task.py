@@ -82,7 +82,7 @@ class LanguageCodec(RearrangeCodec):
         return record
 
     def rules(self, record: StoredRearrangement) -> LanguageSpec:
-        """Rules in a record; PARTNR's episodes may last longer than ours."""
+        """Return rules in a record; PARTNR's episodes may last longer than ours."""
         spec = super().rules(record)
         assert isinstance(spec, LanguageSpec)
         return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
@@ -132,7 +132,7 @@ class LanguageCodec(RearrangeCodec):
         return uid_of(f"{super().uid(episode, policies)}:{what.decode()}")
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """The reason why the episode ended."""
+        """Return the reason why the episode ended."""
         del episode, policies
         return {"ended": play.ended}
 
@@ -209,7 +209,7 @@ class LanguageHousehold(Household):
         return ""
 
     def spot_for(self, k: int, to: Destination) -> tuple[NDArray[np.floating], str] | str:
-        """A free spot [3] for thing ``k`` and its receptacle, or the reason why there is none.
+        """Return a free spot [3] for thing ``k`` and its receptacle, or the reason why there is none.
 
         It follows from the episode's seed, the step and where things are now.
 
@@ -320,7 +320,7 @@ class Language(Rearrange):
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
-        """Remembers states, the rows in which something changed, and how far each thing has been handled."""
+        """Remember states, the rows in which something changed, and how far each thing has been handled."""
         extra = play.episode.extra
         play.memory = {
             "evaluation": Evaluation.of(extra),

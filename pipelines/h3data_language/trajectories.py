@@ -91,7 +91,7 @@ def with_propositions(
 
 
 def _states(recording: Recording, entry: FileEntry, names: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
-    """Columns of states: as logged (1, 0, -1 = unknown), else as at the start of the episode."""
+    """Return columns of states: as logged (1, 0, -1 = unknown), else as at the start of the episode."""
     found = {}
     for state, flags in states_of(entry, names).items():
         logged = recording.columns.get(f"object_state.{THEIR_STATES[state]}")
@@ -101,7 +101,7 @@ def _states(recording: Recording, entry: FileEntry, names: Sequence[str]) -> dic
 
 
 def _hands(recording: Recording, boxes: Mapping[str, ThingBox]) -> dict[str, NDArray[np.int32]]:
-    """The bodies that agents hold, where their users hold one and the agents themselves have grasped nothing."""
+    """Return the bodies that agents hold, where their users hold one and the agents themselves have grasped nothing."""
     info = recording.episode.info
     owners = info["episode"].get("user_index_to_agent_index_map")
     bodies = {info.get("object_ids", {}).get(name): box.body for name, box in boxes.items()}

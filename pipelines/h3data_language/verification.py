@@ -64,7 +64,7 @@ class TaskHome(NamedTuple):
     """Identifier of the home in its set, or its name."""
     source: SceneSource
     numbers: tuple[int, ...]
-    """Numbers of its tasks in the run."""
+    """Numbers of the home's tasks in the run."""
     place: int
     """Number of the home among all that the scenes name."""
     homes: int
@@ -157,7 +157,7 @@ def tasks_in(scenes: str, *, episodes: int, seed: int) -> list[TaskHome]:
 
 
 def _seed_in_turn(seed: int, place: int, homes: int, index: int) -> int:
-    """Seed of an episode of a home, where the episodes of a run go round the homes."""
+    """Return the seed of an episode of a home, where the episodes of a run go round the homes."""
     return episode_seed(seed, index * homes + place)
 
 
@@ -250,7 +250,7 @@ def verify_homes(
 
 
 def _next_round(progress: Callable[..., Any], before: int, *, total: int, initial: int, **_options: str) -> Any:
-    """The progress of a round after those in which ``before`` episodes were played."""
+    """Return the progress of a round after those in which ``before`` episodes were played."""
     return progress(total=before + total, initial=before + initial, desc="verify", unit="episode")
 
 
@@ -284,7 +284,7 @@ def digest_of(tasks: Sequence[VerifiedTask]) -> str:
 
 
 def rows_of_kinds(tasks: Sequence[VerifiedTask]) -> list[list[str]]:
-    """The cells of a table of verified tasks, its head first: a row per type of task, and one for all.
+    """Return the cells of a table of verified tasks, its head first: a row per type of task, and one for all.
 
     The last two are the steps of the person alone over those of robot and person, and the 95% interval of this ratio of means,
     by resampling of tasks.
@@ -302,7 +302,7 @@ def rows_of_kinds(tasks: Sequence[VerifiedTask]) -> list[list[str]]:
 
 
 def skip_table(homes: Sequence[TaskHome], skipped: Sequence[SkippedTask]) -> str:
-    """The table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none.
+    """Return the table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none.
 
     It has what the set skips already, too, so that it can take the place of the set's.
     """

@@ -60,7 +60,7 @@ class LitScene:
 
     @property
     def baked(self) -> bool:
-        """Returns whether the meshes carry light; otherwise everything is as it was."""
+        """Return whether the meshes carry light; otherwise everything is as it was."""
         return self.field is not None
 
 
@@ -73,7 +73,7 @@ def lit_scene(
     light: Light | None = None,
     name: str = "scene",
 ) -> LitScene:
-    """Bakes the light of a scene into its static instances; each gets a mesh of its own, after all others.
+    """Bake the light of a scene into its static instances; each gets a mesh of its own, after all others.
 
     The light of a home is computed once and cached (`store`). Triangle ids refer to the refined meshes.
 
@@ -145,7 +145,7 @@ def bake(
     sources: LightSources,
     light: Light,
 ) -> Baked | None:
-    """The meshes of static instances with their light, and the light between them; None if there is none."""
+    """Return the meshes of static instances with their light, and the light between them; None if there is none."""
     heap = heap_of(meshes, matrices) if meshes else None
     if heap is None or not len(heap.faces):
         return None
@@ -323,7 +323,7 @@ def _meshes(
     light: Light,
     field: LightField,
 ) -> tuple[list[Mesh], list[NDArray[np.float32] | None]]:
-    """The meshes of a lit heap, and what they mirror."""
+    """Return the meshes of a lit heap, and what they mirror."""
     mean = field.mean
     flat = flat_light(light, heap.world[:, 3:])
     irradiance = np.nan_to_num(heap.light, nan=0.3 * mean)

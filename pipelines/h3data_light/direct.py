@@ -8,7 +8,7 @@ from h3data.kernels import kernel_part
 from h3data_light.voxels import march
 
 EMITTER_WORDS = 17
-"""Values of an emitter: kind, centre, two half sides, normal into the room, power, linear colour.
+"""Number of values of an emitter: kind, centre, two half sides, normal into the room, power, linear colour.
 
 Of a window, power is its area and the colour that of the sky. Of a lamp, the half sides are its radius. Of a sun, the centre
 is the direction towards it and the half sides its size.

@@ -20,7 +20,7 @@ from h3data_light.exposure import shown_light
 from h3data_light.voxels import GLASS, Voxels
 
 SPACING_VOXELS = 10
-"""Voxels between two points of the grid."""
+"""Number of voxels between two points of the grid."""
 _RAYS = 64
 _FARTHEST_M = 4.0
 """Shadows do not reach farther."""
@@ -71,7 +71,7 @@ class LightField:
         return self._interpolated(np.asarray(points, np.float64))[0]
 
     def at(self, points: NDArray[np.floating]) -> LightAt:
-        """The light at points [N, 3] of the world [m]."""
+        """Return the light at points [N, 3] of the world [m]."""
         cube, reach = self._interpolated(np.nan_to_num(np.asarray(points, np.float64)).reshape(-1, 3))
         bright = cube.mean(-1)
         vector = bright[:, 1::2] - bright[:, 0::2]
@@ -106,7 +106,7 @@ class LightField:
         *,
         members: NDArray[np.integer],
     ) -> Blockers:
-        """Returns how much light capsules [N, 7] (both ends and radius) block in this field, and the light on their groups.
+        """Return how much light capsules [N, 7] (both ends and radius) block in this field, and the light on their groups.
 
         Args:
             capsules: Capsules of all that moves, in the world [m]; rows with NaN are left out.
@@ -132,7 +132,7 @@ class LightField:
 
 
 def group_means(values: NDArray[np.float64], index: NDArray[np.integer], count: int) -> NDArray[np.float64]:
-    """Means of the rows [N, K] of each group, shape [count, K]; 0 for groups without rows."""
+    """Return means of the rows [N, K] of each group, shape [count, K]; 0 for groups without rows."""
     number = np.maximum(np.bincount(index, minlength=count), 1)
     return np.column_stack([np.bincount(index, column, count) / number for column in values.T])
 
@@ -145,7 +145,7 @@ def light_field(
     mean: float,
     flat: NDArray[np.float64],
 ) -> LightField:
-    """The field of a home whose surfaces reflect ``face_light`` and the light of ``probes``."""
+    """Return the field of a home whose surfaces reflect ``face_light`` and the light of ``probes``."""
     distance, n = voxels.distance, SPACING_VOXELS
     place, usable = _places(distance)
     cube = np.zeros((*usable.shape, 6, 3), np.float32)
@@ -178,7 +178,7 @@ def light_field(
 
 
 def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Returns the light that vertices of a glossy floor mirror from -x, +x, +y, -z and +z, shape [V, 5]; 0 for its sides.
+    """Return the light that vertices of a glossy floor mirror from -x, +x, +y, -z and +z, shape [V, 5]; 0 for its sides.
 
     Args:
         field: The light around.
@@ -196,7 +196,10 @@ def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray
 
 
 def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A point of each block of the grid in voxels, its middle or where it is widest, [X, Y, Z, 3]; and whether it is free."""
+    """Return a point of each block of the grid in voxels, its middle or where it is widest, [X, Y, Z, 3].
+
+    The second array says whether the point is free.
+    """
     n = SPACING_VOXELS
     blocks = [-(-s // n) for s in distance.shape]
     free = np.where(distance == GLASS, 0, distance)
@@ -219,7 +222,7 @@ def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[n
 def free_path(
     distance: NDArray[np.uint8], start: NDArray[np.float64], direction: NDArray[np.float64], longest: float
 ) -> NDArray[np.float64]:
-    """Returns how far rays [N, 3] go through free voxels, up to ``longest``, shape [N] [voxels]."""
+    """Return how far rays [N, 3] go through free voxels, up to ``longest``, shape [N] [voxels]."""
     t = np.zeros(len(start))
     going = np.ones(len(start), np.bool_)
     size = np.array(distance.shape)

@@ -26,7 +26,7 @@ _PLANE_M = 0.02
 
 
 def with_view(mesh: Mesh, matrix: NDArray[np.float64], *, floor_y: float, shown: float) -> Mesh:
-    """A window's mesh whose panes show the outdoors; ``shown`` is the factor from linear colours to vertex colours.
+    """Return a window's mesh whose panes show the outdoors; ``shown`` is the factor from linear colours to vertex colours.
 
     Panes are the faces in the middle plane of the axis-aligned window. A mesh without any stays as it is.
     """
@@ -67,7 +67,7 @@ def with_view(mesh: Mesh, matrix: NDArray[np.float64], *, floor_y: float, shown:
 
 @lru_cache(maxsize=1)
 def outdoors() -> Texture:
-    """The picture: it repeats sideways."""
+    """Return the picture: it repeats sideways."""
     width, height = _PIXELS
     x = np.arange(width) / width * 2 * np.pi
     metres = (0.5 - (np.arange(height) + 0.5) / height)[:, None] * _HIGH_M  # above the horizon
@@ -99,7 +99,7 @@ def _over(
     top: NDArray[np.float64] | None = None,
     deep: float = 1.0,
 ) -> None:
-    """Paints what reaches up to an outline [W] [m]; its edge is soft, and ``top`` turns into ``color`` ``deep`` below."""
+    """Paint what reaches up to an outline [W] [m]; its edge is soft, and ``top`` turns into ``color`` ``deep`` below."""
     below = outline - metres
     cover = np.clip(below / 0.035 + 0.5, 0, 1)[..., None]
     share = np.clip(below / deep, 0, 1)[..., None]

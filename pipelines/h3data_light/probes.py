@@ -50,7 +50,7 @@ def ray_directions(rays: int) -> NDArray[np.float32]:
 
 @kernel(error_model="numpy", boundscheck=False)
 def find_faces(distance, count, points, normals, indoors):
-    """Chooses up to two places on each face of every block; returns their number.
+    """Choose up to two places on each face of every block; return their number.
 
     Places are voxels of the block's surfaces whose neighbour in one of six directions is free.
 
@@ -95,7 +95,7 @@ def find_faces(distance, count, points, normals, indoors):
 
 @kernel(error_model="numpy", boundscheck=False)
 def place_probes(distance, place, usable):
-    """Puts each probe at the middle of its block, or where its block is widest if something is near the middle."""
+    """Put each probe at the middle of its block, or where its block is widest if something is near the middle."""
     n = PROBE_VOXELS
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
@@ -114,7 +114,7 @@ def place_probes(distance, place, usable):
 
 @kernel(error_model="numpy", boundscheck=False)
 def find_reach(distance, place, usable, emitters, reach):
-    """Sets bits of the first `direct.MARKED` windows and lamps of which a probe sees any part, ``reach`` [X', Y', Z', 2]."""
+    """Set bits of the first `direct.MARKED` windows and lamps of which a probe sees any part, ``reach`` [X', Y', Z', 2]."""
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
             for bz in range(usable.shape[2]):
@@ -139,7 +139,7 @@ def find_reach(distance, place, usable, emitters, reach):
 
 @kernel(error_model="numpy", boundscheck=False)
 def gather(distance, albedo, face_light, before, place, usable, directions, after):
-    """Fills ``after`` [X', Y', Z', 6, 3] with the light that reaches each probe from surfaces and from outdoors.
+    """Fill ``after`` [X', Y', Z', 6, 3] with the light that reaches each probe from surfaces and from outdoors.
 
     Surfaces reflect ``face_light`` and ``before``, the light of the previous bounce.
     """
@@ -186,7 +186,7 @@ def gather(distance, albedo, face_light, before, place, usable, directions, afte
 
 @kernel_part()
 def _face(ax, ay, az, dx, dy, dz):
-    """The face of a voxel through which a ray came, from the step to the free voxel before it."""
+    """Return the face of a voxel through which a ray came, from the step to the free voxel before it."""
     wx, wy, wz = abs(dx) * (ax != 0), abs(dy) * (ay != 0), abs(dz) * (az != 0)
     if wx == 0 and wy == 0 and wz == 0:
         wx, wy, wz = abs(dx), abs(dy), abs(dz)
@@ -238,7 +238,7 @@ def blur(distance, place, usable, light, out, axis):
 
 @kernel(error_model="numpy", boundscheck=False)
 def light_points(distance, points, normals, inward, emitters, side, reach, place, usable, light, out):
-    """Fills the irradiance ``out`` [N, 3] at surface points [N, 3] with unit normals.
+    """Fill the irradiance ``out`` [N, 3] at surface points [N, 3] with unit normals.
 
     It is NaN where a point lies inside other surfaces or sees no probe.
 

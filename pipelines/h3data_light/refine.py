@@ -59,7 +59,7 @@ class Heap:
 
 
 def heap_of(meshes: Sequence[Mesh], matrices: Sequence[NDArray[np.float64]]) -> Heap:
-    """The triangles of all meshes. Those without normals get corners of their own for each triangle."""
+    """Return the triangles of all meshes. Those without normals get corners of their own for each triangle."""
     rows, world, faces, owner, textures = [], [], [], [], []
     start = 0
     for number, (mesh, matrix) in enumerate(zip(meshes, matrices, strict=True)):
@@ -88,7 +88,7 @@ def heap_of(meshes: Sequence[Mesh], matrices: Sequence[NDArray[np.float64]]) -> 
 
 
 def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_], max_faces: int) -> None:
-    """Computes the light of all vertices and cuts edges, in place. Meshes that are not ``lit`` stay as they are."""
+    """Compute the light of all vertices and cut edges, in place. Meshes that are not ``lit`` stay as they are."""
     pending = lit[heap.mesh]
     parts = [(heap.faces[~pending], heap.mesh[~pending], heap.textures[~pending])]
     faces, mesh, textures = heap.faces[pending], heap.mesh[pending], heap.textures[pending]
@@ -163,14 +163,14 @@ def _cut_edges(
 
 
 def _bright(light: NDArray[np.float32], mean: float) -> NDArray[np.float32]:
-    """Returns how bright light [n, 3] looks, 1 = mean, shape [n]; NaN where it is unknown."""
+    """Return how bright light [n, 3] looks, 1 = mean, shape [n]; NaN where it is unknown."""
     return np.minimum(np.sqrt(light.mean(1) / mean), _BRIGHTEST)
 
 
 def _children(
     faces: NDArray[np.int64], cut: NDArray[np.bool_], middle: NDArray[np.int64], place: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The 2, 3 or 4 parts of each face, and the face that each is part of."""
+    """Return the 2, 3 or 4 parts of each face, and the face that each is part of."""
     children, parents = [_NO_FACES], [np.zeros(0, np.int64)]
 
     def add(which: NDArray[np.int64], *corners: NDArray[np.int64]) -> None:
@@ -243,7 +243,7 @@ def hashes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _mean_known(values: NDArray[np.float32], group: NDArray[np.intp], count: int) -> NDArray[np.float64]:
-    """Mean of the values [n] of each group that are not NaN, NaN if there are none, shape [count]."""
+    """Return the mean of the values [n] of each group that are not NaN, NaN if there are none, shape [count]."""
     known = ~np.isnan(values)
     number = np.bincount(group[known], minlength=count)
     sums = np.bincount(group[known], values[known], count)

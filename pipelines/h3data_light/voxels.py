@@ -18,7 +18,7 @@ MAX_VOXELS = 12_000_000
 """Number of voxels above which a scene gets larger ones."""
 MARGIN_M = 0.5
 PROBE_VOXELS = 5
-"""Voxels along the side of a block; each block has one probe and one mean colour per axis."""
+"""Number of voxels along the side of a block; each block has one probe and one mean colour per axis."""
 GLASS = 255
 """Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
@@ -67,7 +67,7 @@ def voxelise(
 
 @kernel(error_model="numpy", boundscheck=False)
 def _mark(triangles, colors, glass, distance, sums):
-    """Marks all voxels that triangles touch, by points at most 0.45 voxels apart, and sums up colours."""
+    """Mark all voxels that triangles touch, by points at most 0.45 voxels apart, and sums up colours."""
     for f in range(len(triangles)):
         longest, first = 0.0, 0
         for k in range(3):
@@ -125,7 +125,7 @@ def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: f
 
 @kernel_part()
 def march(distance, x, y, z, dx, dy, dz, length, through_glass):
-    """Follows a ray for ``length`` times its direction, whose largest component is 1.
+    """Follow a ray for ``length`` times its direction, whose largest component is 1.
 
     Returns what ended it (0 = escaped or at its end, 1 = surface, 2 = pane), the last free voxel and the one that was hit.
     """
@@ -151,7 +151,7 @@ def march(distance, x, y, z, dx, dy, dz, length, through_glass):
 
 @kernel_part()
 def sees(distance, x, y, z, tx, ty, tz):
-    """Returns whether nothing lies between two points."""
+    """Return whether nothing lies between two points."""
     dx, dy, dz = tx - x, ty - y, tz - z
     length = max(abs(dx), abs(dy), abs(dz))
     if length < 1e-6:

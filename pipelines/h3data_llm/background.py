@@ -23,13 +23,13 @@ class PatientEndpoint:
     """Endpoint that never waits: a request is asked for again until its answer is there."""
 
     def __init__(self, endpoint: Endpoint) -> None:
-        """Asks nothing yet."""
+        """Ask nothing yet."""
         self._endpoint = endpoint
         self._answers: SimpleQueue[Reply | LanguageModelError] = SimpleQueue()
         self._is_asked = False
 
     def ask(self, body: bytes) -> Reply:
-        """The answer to the body of a request.
+        """Return the answer to the body of a request.
 
         Raises:
             Thinking: it has not come yet.
@@ -61,7 +61,7 @@ class BackgroundModel:
     """Policy of a language model in a live game. While it thinks, what it does goes on; a robot with nothing to do stands."""
 
     def __init__(self, policy: Any) -> None:
-        """Takes over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
+        """Take over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
         self._policy = policy
         self._view: RearrangeView | None = None
         """View of the decision that is being made; None: none is."""
@@ -71,7 +71,7 @@ class BackgroundModel:
         self._retry_at, self.faults = 0.0, list[str]()
 
     def command(self, view: RearrangeView) -> Action | None:
-        """The choice for the next step; None: what the agent does goes on, or it has not decided yet. Never waits."""
+        """Return the choice for the next step; None: what the agent does goes on, or it has not decided yet. Never waits."""
         if self._view is None:
             last = self._ended
             if self._action is not None and last is None:
@@ -97,7 +97,7 @@ class BackgroundModel:
         return action
 
     def after(self, spans: list[Any]) -> None:
-        """Takes note of the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
+        """Take note of the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
         own = [span for span in spans if span.reason != "commanded"]
         if self._action is not None and self._ended is None and own and own[0].name == self._action.skill:
             self._ended = SkillResult(own[0].outcome, own[0].reason)
@@ -108,4 +108,4 @@ class BackgroundModel:
         return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
 
     def close(self) -> None:
-        """Ends nothing: a thread that waits for an answer ends with it."""
+        """End nothing: a thread that waits for an answer ends with it."""

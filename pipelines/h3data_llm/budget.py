@@ -33,7 +33,7 @@ class JobBudget:
     """Limits of a job, and what it has spent."""
 
     def __init__(self, name: str) -> None:
-        """Reads the limits.
+        """Read the limits.
 
         Args:
             name: Path of the file.

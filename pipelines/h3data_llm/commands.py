@@ -31,7 +31,7 @@ class LlmShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A line per answer."""
+        """Return a line per answer."""
         from h3data.recording.finding import find_episodes
         from h3data_llm.replies import models_in
         from h3data_llm.use import ModelUse
@@ -77,7 +77,7 @@ class LlmAgain:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A line per language model."""
+        """Return a line per language model."""
         from h3data.recording.finding import find_episodes
         from h3data_llm.replies import played_again
 

@@ -55,7 +55,7 @@ class Address(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """The address in a text.
+        """Return the address in a text.
 
         Raises:
             InputError: it is no address, holds a user, a password or a key, or an option is out of range.
@@ -124,7 +124,7 @@ class Endpoint(Protocol):
     """Something that answers chats."""
 
     def ask(self, body: bytes) -> Reply:
-        """The answer to the body of a request.
+        """Return the answer to the body of a request.
 
         Raises:
             LanguageModelError: there is none.
@@ -136,7 +136,7 @@ class HttpEndpoint:
     """Chat endpoint over HTTP, with a connection of its own for each request."""
 
     def __init__(self, address: Address) -> None:
-        """Reads the key.
+        """Read the key.
 
         Args:
             address: Address of the endpoint.
@@ -165,7 +165,7 @@ class HttpEndpoint:
             raise self._absent(fault) from None
 
     def ask(self, body: bytes) -> Reply:
-        """The answer to the body of a request, after further attempts if need be.
+        """Return the answer to the body of a request, after further attempts if need be.
 
         Raises:
             LanguageModelError: the endpoint is gone or late, or answers with something that is no chat.
@@ -235,7 +235,7 @@ class HttpEndpoint:
         return reply_of(answer, url)
 
     def _said(self, answer: Any) -> str:
-        """Text of an endpoint about a fault, in one line and without the key."""
+        """Return the text of an endpoint about a fault, in one line and without the key."""
         found = answer.get("error", answer) if isinstance(answer, dict) else answer
         found = found.get("message", found) if isinstance(found, dict) else found
         text = " ".join(str(found).split())
@@ -249,7 +249,7 @@ class HttpEndpoint:
 
 
 def reply_of(answer: Any, url: str) -> Reply:
-    """The first choice of an answer in the form of OpenAI's chats.
+    """Return the first choice of an answer in the form of OpenAI's chats.
 
     Raises:
         LanguageModelError: it has another form.

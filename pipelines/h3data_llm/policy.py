@@ -55,7 +55,7 @@ class Decision(NamedTuple):
 
 
 def language_model(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
-    """Returns the maker of the policy of a language model: the entry point ``llm``.
+    """Return the maker of the policy of a language model: the entry point ``llm``.
 
     Args:
         address: Address of the endpoint, as read by `Address.of`.
@@ -93,10 +93,10 @@ class LanguageModelPolicy:
     is_remote = True
     """Constant True: what is recorded is repeated without asking the language model."""
     interrupts_every = 3
-    """Steps from one question whether it stops to the next."""
+    """Number of steps from one question whether it stops to the next."""
 
     def __init__(self, where: Address, endpoint: Endpoint, task: Any, episode: Any, number: int) -> None:
-        """Prepares for an episode; nothing is asked yet.
+        """Prepare for an episode; nothing is asked yet.
 
         Args:
             where: Address with its options.
@@ -146,7 +146,7 @@ class LanguageModelPolicy:
 
     # --- decisions ----------------------------------------------------------------------------------------------------
     def act(self, view: RearrangeView) -> Action:
-        """The next skill of the present work, or of that which the language model chooses now.
+        """Return the next skill of the present work, or of that which the language model chooses now.
 
         Raises:
             LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up; if it is
@@ -261,7 +261,7 @@ class LanguageModelPolicy:
         return BackgroundModel(self)
 
     def recorded_info(self) -> dict[str, Any]:
-        """Returns the recorded facts about the language model, with every answer."""
+        """Return the recorded facts about the language model, with every answer."""
         facts = {
             "policy": self.name,
             "agent": self._number,

@@ -26,7 +26,7 @@ class RecordedModel(NamedTuple):
 
 
 def models_in(recording: Recording) -> list[RecordedModel]:
-    """The language models of a recording, with their answers.
+    """Return the language models of a recording, with their answers.
 
     Raises:
         InputError: there is none, or its entry is malformed.
@@ -58,7 +58,7 @@ def models_in(recording: Recording) -> list[RecordedModel]:
 
 
 def _record(kind: Any, told: Any) -> Any:
-    """A named tuple from its fields as JSON types."""
+    """Return a named tuple from its fields as JSON types."""
     return msgspec.convert([told.get(f, kind._field_defaults.get(f)) for f in kind._fields], kind)
 
 
@@ -66,11 +66,11 @@ class RecordedEndpoint:
     """Endpoint that gives the recorded answers, one after the other."""
 
     def __init__(self, decisions: tuple[Decision, ...]) -> None:
-        """Begins with the first answer."""
+        """Begin with the first answer."""
         self._left = list(decisions)
 
     def ask(self, body: bytes) -> Reply:
-        """The next recorded answer.
+        """Return the next recorded answer.
 
         Raises:
             LanguageModelError: there is none left.

@@ -62,7 +62,7 @@ class Names(NamedTuple):
     """The other agents."""
 
     def of(self, kind: str) -> tuple[str, ...]:
-        """Names of a kind of parameter; none for kinds that are no names."""
+        """Return names of a kind of parameter; none for kinds that are no names."""
         known = {
             "thing": self.things,
             "place": self.places,
@@ -86,7 +86,7 @@ _WHERE = (
 
 
 def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> tuple[Tool, ...]:
-    """The tools of an agent.
+    """Return the tools of an agent.
 
     Args:
         names: Names of what is there.
@@ -165,7 +165,7 @@ def lines_of(tools: Sequence[Tool]) -> str:
 
 # --- answers ----------------------------------------------------------------------------------------------------------
 def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode: str) -> Call:
-    """The first call in an answer.
+    """Return the first call in an answer.
 
     Args:
         message: Message of the model, cut to size (`kept`).
@@ -200,7 +200,7 @@ def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode
 
 
 def kept(message: Mapping[str, Any]) -> dict[str, Any]:
-    """The parts of a message that are used and recorded: its text, cut to `MOST_CONTENT`, and its first tool call."""
+    """Return the parts of a message that are used and recorded: its text, cut to `MOST_CONTENT`, and its first tool call."""
     content = message.get("content")
     found: dict[str, Any] = {"content": _clean(content)[:MOST_CONTENT] if isinstance(content, str) else ""}
     calls = message.get("tool_calls")
@@ -217,7 +217,7 @@ def kept(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _clean(text: str) -> str:
-    """A text without halves of characters, which cannot be written."""
+    """Return a text without halves of characters, which cannot be written."""
     return text.encode("utf-8", "replace").decode()
 
 

@@ -29,9 +29,9 @@ class ModelUse(NamedTuple):
     plans: int
     """Number of answers that were carried out."""
     tokens: int
-    """Tokens of requests and answers, as the endpoint counts them."""
+    """Number of tokens of requests and answers, as the endpoint counts them."""
     tokens_out: int
-    """Tokens of the answers alone."""
+    """Number of tokens of the answers alone."""
     seconds: float
     """Time that the answers took, one after the other [s]."""
 
@@ -74,7 +74,7 @@ LLM_METRICS = (
 
 
 def compute_use(recording: Recording, notes: Notes) -> Computed:
-    """Computes the metrics of the profile.
+    """Compute the metrics of the profile.
 
     Raises:
         MissingColumnsError: no language model has played.

@@ -27,14 +27,14 @@ TRIES = 3
 SPOTS = 5
 """Number of attempts to find a free spot at a place."""
 LONG = 300
-"""Steps of one ``wait`` of an agent that has nothing to do."""
+"""Number of steps of one ``wait`` of an agent that has nothing to do."""
 
 
 class Worker:
     """Carries out calls for one agent."""
 
     def __init__(self, text: WorldText, number: int, uses: list[tuple[str, bool]]) -> None:
-        """Prepares for an episode.
+        """Prepare for an episode.
 
         Args:
             text: Names and texts of the home.
@@ -48,7 +48,7 @@ class Worker:
         """Reason to interrupt the present work as soon as it applies: ``message``, ``found`` or empty."""
 
     def begin(self, call: Call, view: RearrangeView) -> Work:
-        """The work of a call."""
+        """Return the work of a call."""
         self.reason = ""
         given = call.arguments
         thing = self._text.names.things.index(given["thing"]) if "thing" in given else -1
@@ -214,11 +214,11 @@ class Worker:
 
     # --- what has happened --------------------------------------------------------------------------------------------
     def heard(self, view: RearrangeView) -> int:
-        """Number of messages of others so far."""
+        """Return the number of messages of others so far."""
         return sum(event.agent != self._number for event in view.messages)
 
     def known(self, view: RearrangeView) -> int:
-        """Number of things whose place the agent knows."""
+        """Return the number of things whose place the agent knows."""
         return sum(view.is_known(k) for k in range(len(view.objects)))
 
     def _held(self, view: RearrangeView) -> int:

@@ -26,7 +26,7 @@ class WorldText:
     """Names of what is in the home of an episode, and texts about it."""
 
     def __init__(self, episode: Any, number: int, *, places: bool) -> None:
-        """Describes a home for one agent.
+        """Describe a home for one agent.
 
         Args:
             episode: Episode that is played.
@@ -46,7 +46,7 @@ class WorldText:
         self._furniture = furniture
 
     def home(self) -> str:
-        """Rooms with their furniture, doors and drawers; it does not change."""
+        """Return rooms with their furniture, doors and drawers; it does not change."""
         lines = ["The home, room by room, with furniture on which things can be put:"]
         opens: dict[str, list[str]] = {}
         for joint in self.names.openings:
@@ -81,7 +81,7 @@ class WorldText:
         return "\n".join([*lines, *(["Said so far:", *said] if said else []), *notes])
 
     def place_of(self, point: Any) -> str:
-        """Words for the place of a point [3] of the world: on or inside furniture, and the room."""
+        """Return words for the place of a point [3] of the world: on or inside furniture, and the room."""
         (on, inside), room = self.surface_of(point), self._room_of(point)
         where = f"{'inside' if inside else 'on'} {on}" if on else "on the floor"
         return f"{where}, in {room}" if room else where
@@ -129,7 +129,7 @@ class WorldText:
 
 
 def line_of(event: Event, names: list[str]) -> str:
-    """A message as a line: its sender and its text."""
+    """Return a message as a line: its sender and its text."""
     return f"{names[event.agent] if 0 <= event.agent < len(names) else '?'}: {event.detail}"
 
 

@@ -11,7 +11,7 @@ from h3data_meshes.trimesh_files import FilesBeside, read_with_trimesh
 
 
 def collada_parts(path: Path) -> list[tuple[Mesh, Array]]:
-    """Parts of a Collada file with the 4x4 matrices that place them."""
+    """Return parts of a Collada file with the 4x4 matrices that place them."""
     beside = FilesBeside(path)
     parts = [(part.mesh, part.matrix) for part in read_collada(path, beside.get)]
     beside.warn()
@@ -19,5 +19,5 @@ def collada_parts(path: Path) -> list[tuple[Mesh, Array]]:
 
 
 def trimesh_parts(path: Path) -> list[tuple[Mesh, Array]]:
-    """Parts of an OBJ, PLY or STL file, which are in place."""
+    """Return parts of an OBJ, PLY or STL file, which are in place."""
     return [(part, np.eye(4)) for part in read_with_trimesh(path)]

@@ -72,7 +72,7 @@ class _Look:
 
 
 def read_collada(path: Path, resource: Callable[[str], bytes]) -> list[ColladaPart]:
-    """The parts that the file's scene shows; ``resource`` gives the bytes of an image by its name in the file.
+    """Return the parts that the file's scene shows; ``resource`` gives the bytes of an image by its name in the file.
 
     Raises:
         SceneError, ValueError, ParseError: the file is damaged; the message says where, `h3data.mesh.loading` adds the file.
@@ -110,7 +110,7 @@ class _Collada:
         return found
 
     def _target(self, element: Element, kind: str, attribute: str = "url") -> Element | None:
-        """The element of this kind that ``element`` refers to; None, said once, if it is not there."""
+        """Return the element of this kind that ``element`` refers to; None, said once, if it is not there."""
         name = element.get(attribute, "")
         target = self._by_id.get((kind, unquote(name).removeprefix("#"))) or self._by_id.get((kind, name[1:]))
         if target is None:
@@ -260,7 +260,7 @@ class _Collada:
         return found
 
     def _source(self, record: Element, mesh: Element, where: str) -> Array:
-        """The named values of a source, [N, width]."""
+        """Return the named values of a source, [N, width]."""
         name = record.get("source", "").removeprefix("#")
         source = next((s for s in mesh.iterfind("source") if s.get("id") == name), None)
         source = self._by_id.get(("source", name)) if source is None else source
@@ -281,7 +281,7 @@ class _Collada:
         return values[start : start + count * stride].reshape(count, stride)[:, named]
 
     def _corners(self, element: Element, width: int, at: int, positions: Array, where: str) -> NDArray[np.int64]:
-        """Rows of indices [C, width], three for each triangle."""
+        """Return rows of indices [C, width], three for each triangle."""
         tag = element.tag
         texts = [e.text or "" for e in element.iterfind("p")]
         rows = [_rows(text, width, where) for text in texts]
@@ -362,7 +362,7 @@ class _Collada:
         return _Look(color=(r, g, b))
 
     def _image(self, name: str, parameters: Mapping[str, Element]) -> Element | None:
-        """The image behind a sampler, its surface, or the image's own id."""
+        """Return the image behind a sampler, its surface, or the image's own id."""
         for _ in range(3):
             parameter = parameters.get(name)
             if parameter is None:
@@ -401,7 +401,7 @@ def _texture_coordinates(sets: Mapping[int, Array], binding: Element | None, nam
 
 
 def _node_matrix(node: Element) -> Array:
-    """The product of a node's transforms, in the order in which they stand."""
+    """Return the product of a node's transforms, in the order in which they stand."""
     matrix = np.eye(4)
     for element in node:
         make = _TRANSFORMS.get(element.tag)
@@ -510,7 +510,7 @@ def _outline(rings: list[NDArray[np.int64]], at: int, positions: Array, where: s
 
 
 def _strip(count: int) -> NDArray[np.int64]:
-    """Corners of a strip's triangles, [F, 3]; every second one is turned."""
+    """Return corners of a strip's triangles, [F, 3]; every second one is turned."""
     first = np.arange(max(count - 2, 0))
     odd = first % 2
     return np.stack([first, first + 1 + odd, first + 2 - odd], 1)

@@ -25,7 +25,7 @@ _ENDS_EARLY, _NOT_USED_UP = 1, 2
 
 
 def decode_view(data: bytes | memoryview, *, mode: str, filter: str, count: int, stride: int) -> NDArray[np.uint8]:
-    """Returns the bytes [count * stride] of a compressed buffer view.
+    """Return the bytes [count * stride] of a compressed buffer view.
 
     Args:
         data: The compressed stream, no byte more.
@@ -120,7 +120,7 @@ def _unpack_attributes(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
 
 @kernel()
 def _varint(data: NDArray[np.uint8], at: int, end: int) -> tuple[int, int]:
-    """An unsigned LEB128 number of at most 32 bits, and the place after it; -1 where the stream ends early."""
+    """Return an unsigned LEB128 number of at most 32 bits, and the place after it; -1 where the stream ends early."""
     value, shift = 0, 0
     while at < end and shift < 35:
         byte = int(data[at])

@@ -20,7 +20,7 @@ _OBJ_POLYGON = re.compile(rb"^[ \t]*f(?:[ \t]+[^\s#]+){4,}", re.MULTILINE)
 
 
 def obj_of_triangles(data: bytes) -> bytes:
-    """An OBJ file's bytes with every face of more than three corners cut into triangles."""
+    """Return an OBJ file's bytes with every face of more than three corners cut into triangles."""
     data = re.sub(rb"\\\r?\n", b" ", data)
     if not _OBJ_POLYGON.search(data):
         return data
@@ -50,7 +50,7 @@ def obj_of_triangles(data: bytes) -> bytes:
 
 
 def _obj_index(word: bytes, before: int) -> int:
-    """The vertex of a corner such as ``3/1/2``: from 1 on, or backwards from the last one before."""
+    """Return the vertex of a corner such as ``3/1/2``: from 1 on, or backwards from the last one before."""
     number = int(word.split(b"/", 1)[0])
     return number - 1 if number > 0 else before + number if -before <= number < 0 else -(1 << 60)
 
@@ -77,7 +77,7 @@ class _Element:
         return self.name != "face" and not any(length for _, length, _ in self.properties)
 
     def columns(self, form: str) -> Array:
-        """Values [count, properties] of an element without lists."""
+        """Return values [count, properties] of an element without lists."""
         if form == "ascii":
             return np.array(self.raw.split(), np.float64).reshape(self.count, -1)
         table = np.frombuffer(self.raw, [(p[0], _order(form) + _PLY_TYPES[p[2]]) for p in self.properties], self.count)
@@ -85,7 +85,7 @@ class _Element:
 
 
 def ply_of_triangles(data: bytes) -> bytes:
-    """A PLY file's bytes with every face of more than three corners cut into triangles."""
+    """Return a PLY file's bytes with every face of more than three corners cut into triangles."""
     try:
         return _ply_of_triangles(data)
     except (ValueError, KeyError, IndexError, struct.error, UnicodeDecodeError, StopIteration):
@@ -131,7 +131,7 @@ def _ply_of_triangles(data: bytes) -> bytes:
 
 
 def _picked(values: Array, cut: NDArray[np.int64], size: int) -> Array:
-    """The part of a face's list that belongs to three of its corners; lists that are not per corner stay."""
+    """Return the part of a face's list that belongs to three of its corners; lists that are not per corner stay."""
     return values.reshape(size, -1)[cut].ravel() if len(values) and len(values) % size == 0 else values
 
 
@@ -207,7 +207,7 @@ def _read_rows(body: bytes, form: str, elements: list[_Element]) -> None:
 
 
 def _written(header: list[str], form: str, elements: list[_Element]) -> bytes:
-    """The file again, in its own order of bytes or as text."""
+    """Return the file again, in its own order of bytes or as text."""
     face = next(e for e in elements if e.name == "face")
     header = [f"element face {face.count}" if line.split()[:2] == ["element", "face"] else line for line in header]
     out = ["\n".join([*header, "end_header", ""]).encode("ascii", "surrogateescape")]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 
 _TRIED_FANS = 4
-"""Corners from which a fan is tried for all polygons at once; a quadrilateral without crossings needs at most two."""
+"""Number of corners from which a fan is tried for all polygons at once; a quadrilateral without crossings needs at most two."""
 
 
 def triangulated(points: Array, counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles [F, 3] as indices into ``points``, and the polygon of each [F]; order and winding are the polygons'.
+    """Return triangles [F, 3] as indices into ``points``, and the polygon of each [F]; order and winding are the polygons'.
 
     ``points`` [N, 3] are the corners of one polygon after another, ``counts`` [P] how many each has. Convex polygons become
     the fan around their first corner. Polygons of fewer than three corners are left out. Every other polygon gives
@@ -78,7 +78,7 @@ def with_holes(outline: Array, holes: Sequence[Array]) -> NDArray[np.int64]:
 
 
 def _sees(tip: Array, corner: Array, start: Array, end: Array) -> bool:
-    """Returns whether the line between two points [2] meets none of the edges, those that end at one of them apart."""
+    """Return whether the line between two points [2] meets none of the edges, those that end at one of them apart."""
     apart = ~((start == tip).all(1) | (end == tip).all(1) | (start == corner).all(1) | (end == corner).all(1))
     start, end = start[apart], end[apart]
     sides = _cross(tip, corner, start) * _cross(tip, corner, end) <= 0
@@ -86,7 +86,7 @@ def _sees(tip: Array, corner: Array, start: Array, end: Array) -> bool:
 
 
 def _opens(flat: Array, walk: NDArray[np.int64], at: int, tip: Array) -> bool:
-    """Returns whether the inner angle of a walk's corner contains the direction to ``tip``."""
+    """Return whether the inner angle of a walk's corner contains the direction to ``tip``."""
     before, corner, after = flat[walk[at - 1]], flat[walk[at]], flat[walk[(at + 1) % len(walk)]]
     left, right = _cross(corner, after, tip) >= 0, _cross(before, corner, tip) >= 0
     return bool(left and right if _cross(before, corner, after) >= 0 else left or right)

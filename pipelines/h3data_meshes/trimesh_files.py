@@ -24,7 +24,7 @@ _TRIANGLES_OF = {"obj": obj_of_triangles, "ply": ply_of_triangles}
 
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
-    """Reads the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
+    """Read the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
 
     Material files and images that the file names are read from its folder or below, nowhere else: one warning if they are
     missing or lie outside. They only paint: the triangles are all in the file itself.
@@ -51,7 +51,7 @@ class FilesBeside:
         self.missing: list[str] = []
 
     def get(self, name: Any) -> bytes:
-        """Content of a file that the mesh file names, relative to the mesh file's folder.
+        """Return the content of a file that the mesh file names, relative to the mesh file's folder.
 
         MTL files come back with plain names of materials.
 

@@ -40,12 +40,12 @@ Up = Literal["z", "y"]
 
 
 def is_amass(names: tuple[str, ...]) -> bool:
-    """Returns whether an npz with these arrays holds SMPL motion."""
+    """Return whether an npz with these arrays holds SMPL motion."""
     return POSES_KEY in names or any(k in names for k in BODY_KEYS)
 
 
 def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, source: str = "") -> Motion:
-    """Reads motion from an npz file in the layout of AMASS.
+    """Read motion from an npz file in the layout of AMASS.
 
     The file has ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or ``root_orient`` with ``pose_body`` (and ``pose_hand``,
     ``pose_jaw``, ``pose_eye``); further ``trans`` and the frame rate.
@@ -123,7 +123,7 @@ def _key(data: Mapping[str, NDArray[Any]], keys: tuple[str, ...], where: str) ->
 
 
 def _flat(data: Mapping[str, NDArray[Any]], key: str, where: str) -> Array:
-    """An array [T, ...] as [T, n], with at least one frame; rotations in radians."""
+    """Return an array [T, ...] as [T, n], with at least one frame; rotations in radians."""
     array = data[key]
     if array.ndim < 2 or not array.size:
         raise FormatError(

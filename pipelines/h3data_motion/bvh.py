@@ -103,7 +103,7 @@ def read_bvh_file(path: str | Path) -> Bvh:
 
 
 def parse_bvh(text: str, where: str = "text") -> Bvh:
-    """Parses the text of a BVH file as `read_bvh_file` does; ``where`` is named in errors."""
+    """Parse the text of a BVH file as `read_bvh_file` does; ``where`` is named in errors."""
     reader = _Reader([_COMMENT.sub("", line) for line in text.splitlines()], where)
     joints = _hierarchy(reader)
     reader.expect("MOTION")
@@ -124,7 +124,7 @@ class _Reader:
         self.lines, self.where, self.row, self.words = lines, where, 0, list[str]()
 
     def peek(self) -> str:
-        """The next word; empty at the end."""
+        """Return the next word; empty at the end."""
         while not self.words:
             if self.row >= len(self.lines):
                 return ""
@@ -236,7 +236,7 @@ def _channels(reader: _Reader) -> tuple[str, ...]:
 
 
 def _values(reader: _Reader, claimed: int, columns: int) -> Array:
-    """All numbers after the frame time, shape [T, C]."""
+    """Return all numbers after the frame time, shape [T, C]."""
     rest = reader.rest_of_line().split()
     for line in reader.lines[reader.row :]:
         rest += line.split()

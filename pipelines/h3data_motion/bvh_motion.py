@@ -107,7 +107,7 @@ class _Mapped:
 
 
 def load_name_table(name: str | Path) -> NameTable:
-    """A built-in table (one of `BUILTIN_TABLES`) or one in a TOML file.
+    """Return a built-in table (one of `BUILTIN_TABLES`) or one in a TOML file.
 
     Raises:
         InputError: there is none, or it is not a table; the message says what is wrong.
@@ -137,7 +137,7 @@ def load_name_table(name: str | Path) -> NameTable:
 def read_bvh(
     path: str | Path, *, names: str | Path | None = None, unit_m: float | None = None, source: str = ""
 ) -> Motion:
-    """The motion in a BVH file, with the rest pose corrected to our T-pose.
+    """Return the motion in a BVH file, with the rest pose corrected to our T-pose.
 
     Args:
         path: The file.
@@ -184,7 +184,7 @@ def read_bvh(
 
 
 def _fps(frame_s: float) -> float:
-    """Frames per second; files round the time of a frame, 30 frames/s are 0.033333 s."""
+    """Return frames per second; files round the time of a frame, 30 frames/s are 0.033333 s."""
     fps, whole = 1 / frame_s, round(1 / frame_s)
     return float(whole) if abs(fps - whole) < 2e-4 * fps else fps
 
@@ -200,12 +200,12 @@ def _both_sides(entries: Mapping[str, str]) -> dict[str, str]:
 
 
 def _bare(name: str) -> str:
-    """Returns a joint name for comparison: lower case, without spaces, dots, hyphens and underscores (``Bip01 L Thigh``)."""
+    """Return a joint name for comparison: lower case, without spaces, dots, hyphens and underscores (``Bip01 L Thigh``)."""
     return "".join(letter for letter in name.rpartition(":")[2].lower() if letter.isalnum())
 
 
 def _numbers(bvh: Bvh) -> dict[str, int]:
-    """Numbers of joints by their bare names.
+    """Return numbers of joints by their bare names.
 
     They can also be looked up without the prefix that all names share: exporters put the name of the character there
     (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``).
@@ -279,7 +279,7 @@ def _unit(leg: float, stated: float | None, where: str) -> float:
 
 
 def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
-    """Rotation [3, 3] from our body frame to the figure that stands in the file's rest pose, in quarter turns."""
+    """Return the rotation [3, 3] from our body frame to the figure that stands in the file's rest pose, in quarter turns."""
     top = next((index[j] for j in ("head", "neck", "spine3") if j in index), None)
     hips = (places[index["left_hip"]] + places[index["right_hip"]]) / 2
     shoulders = (places[index["left_shoulder"]] + places[index["right_shoulder"]]) / 2
@@ -296,14 +296,17 @@ def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
 
 
 def _nearest_axis(vector: Array) -> Array | None:
-    """The coordinate axis next to a vector, if it is within `TILT_DEG`."""
+    """Return the coordinate axis next to a vector, if it is within `TILT_DEG`."""
     unit = normalized(vector)
     k = int(np.argmax(np.abs(unit)))
     return np.sign(unit[k]) * np.eye(3)[k] if abs(unit[k]) > np.cos(np.radians(TILT_DEG)) else None
 
 
 def _axes(text: str) -> Array | None:
-    """Frame [3, 3] with the named directions as columns, in the body frame; None if they are no right-handed frame."""
+    """Return the frame [3, 3] with the named directions as columns, in the body frame.
+
+    The result is None if the directions are no right-handed frame.
+    """
     words = text.split()
     if len(words) != 3 or any(w not in DIRECTIONS for w in words):
         return None
@@ -348,7 +351,7 @@ def _mapped_parent(name: str, mapped: Mapping[str, Array]) -> str:
 
 
 def _rest_frame(table: NameTable, name: str, upright: Array) -> Array:
-    """The frame of a joint without rotations in a T-pose, as columns [3, 3] in the body frame."""
+    """Return the frame of a joint without rotations in a T-pose, as columns [3, 3] in the body frame."""
     if not table.axes:
         return upright.T
     while name not in table.axes:
@@ -362,12 +365,12 @@ def _rest_frame(table: NameTable, name: str, upright: Array) -> Array:
 
 
 def _pitched(down_deg: float) -> Array:
-    """Rotation [3, 3] about left that lowers what points forward."""
+    """Return the rotation [3, 3] about left that lowers what points forward."""
     angle = np.radians(down_deg)
     return quat_to_matrix(np.array([np.sin(angle / 2), 0, 0, np.cos(angle / 2)]))
 
 
 def _shortest_turn(a: Array, b: Array) -> Array:
-    """Rotation [3, 3] by the shortest way from unit vector ``a`` [3] to ``b`` [3]."""
+    """Return the rotation [3, 3] by the shortest way from unit vector ``a`` [3] to ``b`` [3]."""
     half = np.append(np.cross(a, b), 1 + np.dot(a, b))
     return quat_to_matrix(normalized(half))

@@ -153,7 +153,7 @@ def turned_frames(turn: Array, quats: Array, pelvis: Array) -> tuple[Array, Arra
 
 
 def same_motion(a: Motion, b: Motion) -> tuple[float, float]:
-    """Largest difference of two motions of equal length: rotations [rad] and pelvis places [m]."""
+    """Return the largest difference of two motions of equal length: rotations [rad] and pelvis places [m]."""
     between = quat_multiply(quat_conjugate(a.quats), b.quats)
     angle = 2 * np.arctan2(np.linalg.norm(between[..., :3], axis=-1), np.abs(between[..., 3]))
     return float(angle.max()), float(np.abs(a.pelvis - b.pelvis).max())

@@ -71,7 +71,7 @@ class MotionImport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Converts all files and returns a report with a row for each.
+        """Convert all files and return a report with a row for each.
 
         Raises:
             InputError: there is nothing to import, or the only file cannot be read.
@@ -155,7 +155,7 @@ class MotionShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders the motion, and returns facts about it."""
+        """Render the motion, and return facts about it."""
         if not self.paths:
             raise InputError("Expected at least one motion file.", code="H3-BODY-131")
         if not 1 <= self.frames <= 32 or not 200 <= self.width <= 8000:
@@ -306,7 +306,7 @@ def _labelled(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 
 
 def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
-    """Writes an MP4 of a body performing a motion, at 30 frames/s, and returns the number of frames.
+    """Write an MP4 of a body performing a motion, at 30 frames/s, and return the number of frames.
 
     ``name`` is that of a built-in body or the path of the body's .npz file.
     """

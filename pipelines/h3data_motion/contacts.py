@@ -65,7 +65,7 @@ def find_contacts(points: Array, fps: float) -> Contacts:
 
 
 def _slide(points: Array, touching: NDArray[np.bool_]) -> Array:
-    """Returns how far the point that was lowest in both frames moved along the floor."""
+    """Return how far the point that was lowest in both frames moved along the floor."""
     out = np.zeros(points.shape[:2])
     heights = points[1:, ..., 1] + points[:-1, ..., 1]
     pivot = np.argmin(heights, axis=2)[..., None]
@@ -75,7 +75,7 @@ def _slide(points: Array, touching: NDArray[np.bool_]) -> Array:
 
 
 def _without_short(mask: NDArray[np.bool_], gap: int, least: int) -> NDArray[np.bool_]:
-    """Gaps of up to ``gap`` frames closed (not at the ends), then runs below ``least`` frames dropped."""
+    """Return gaps of up to ``gap`` frames closed (not at the ends), then runs below ``least`` frames dropped."""
     out = mask.copy()
     for start, end in runs(~mask):
         if end - start <= gap and start > 0 and end < len(mask):
@@ -87,7 +87,7 @@ def _without_short(mask: NDArray[np.bool_], gap: int, least: int) -> NDArray[np.
 
 
 def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Array, Array]:
-    """Rotations [T, 55, 4] and pelvis places [T, 3] with feet that neither slide nor sink into the floor (y = 0)."""
+    """Return rotations [T, 55, 4] and pelvis places [T, 3] with feet that neither slide nor sink into the floor (y = 0)."""
     frames = leg_frames(body, quats, pelvis)
     points = sole_points(body, frames)
     touching = find_contacts(points, fps).touching
@@ -99,7 +99,7 @@ def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Ar
 
 
 def _correction(points: Array, touching: NDArray[np.bool_]) -> Array:
-    """Returns the displacement of an ankle, [T, 3] [m], for the sole points [T, 3, 3] of its foot."""
+    """Return the displacement of an ankle, [T, 3] [m], for the sole points [T, 3, 3] of its foot."""
     frames = len(points)
     shift, known = np.zeros((frames, 3)), np.zeros(frames, bool)
     lowest = points[..., 1].min(axis=1)
@@ -126,7 +126,7 @@ def _correction(points: Array, touching: NDArray[np.bool_]) -> Array:
 
 
 def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
-    """Returns how far the pelvis must go down, [T] [m], smoothly, so that both ankles [T, 2, 3] are within reach."""
+    """Return how far the pelvis must go down, [T] [m], smoothly, so that both ankles [T, 2, 3] are within reach."""
     need = np.zeros(len(frames))
     for k in range(2):
         hip = frames[:, k, HIP, :3, 3]
@@ -143,7 +143,7 @@ def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
 
 
 def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array:
-    """Rotations [T, 55, 4] with hips and knees turned so that the ankles are at ``ankles`` [T, 2, 3].
+    """Return rotations [T, 55, 4] with hips and knees turned so that the ankles are at ``ankles`` [T, 2, 3].
 
     They turn as little as possible, and the feet keep their rotations in the world. The solution is that of two bones
     in closed form: the knee bends about its own axis, then the leg swings.
@@ -176,12 +176,12 @@ def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array
 
 
 def _at(far: Array, reached: Array) -> NDArray[np.bool_]:
-    """Returns whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
+    """Return whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
     return np.abs(far - np.linalg.norm(reached, axis=1)) < 1e-12
 
 
 def _shortest_turn(a: Array, b: Array) -> Array:
-    """Quaternions [T, 4] by the shortest way from directions ``a`` [T, 3] to ``b`` [T, 3]."""
+    """Return quaternions [T, 4] by the shortest way from directions ``a`` [T, 3] to ``b`` [T, 3]."""
     a, b = normalized(a), normalized(b)
     return normalized(np.concatenate([np.cross(a, b), 1 + np.sum(a * b, axis=1, keepdims=True)], axis=1))
 

@@ -52,7 +52,7 @@ class Loop:
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
-    """Finds the best loop between ``min_s`` and ``max_s`` long in a motion.
+    """Find the best loop between ``min_s`` and ``max_s`` long in a motion.
 
     At its two ends all joints, seen from the pelvis, have nearly the same positions and velocities.
 
@@ -167,7 +167,7 @@ def _closed(quats: Array, pelvis: Array, share: Array) -> tuple[Array, Array]:
 def _planted_round(
     body: Humanoid, quats: Array, pelvis: Array, advance: float, turn: float, fps: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The cycle with planted feet, and where they touch [F, 2]: the middle one of three rounds."""
+    """Return the cycle with planted feet, and where they touch [F, 2]: the middle one of three rounds."""
     count = len(quats)
     rounds = np.arange(3 * count) / count
     long_quats, long_pelvis = np.tile(quats, (3, 1, 1)), np.tile(pelvis, (3, 1))
@@ -191,7 +191,7 @@ def _unrolled(touching: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _as_clip(body: Humanoid, clip: Clip) -> Clip:
-    """The clip with its feet as `h3data.bodies.people.legs.Posture` has them, and with the phase to set off at."""
+    """Return the clip with its feet as `h3data.bodies.people.legs.Posture` has them, and with the phase to set off at."""
     frames = leg_frames(body, clip.quats, clip.pelvis)
     ankle, foot = np.empty((len(clip), 2, 3)), np.empty((len(clip), 2, 3))
     for k in range(2):

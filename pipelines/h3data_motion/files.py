@@ -85,7 +85,7 @@ def motion_kind(path: str | Path) -> str:
 
 
 def read_motion(path: str | Path, *, kind: str = "auto", options: ReadOptions | None = None) -> Motion:
-    """The motion in a file of any kind that is read: ours, AMASS, BVH, Habitat (sequence or walk), or that of a plug-in.
+    """Return the motion in a file of any kind that is read: ours, AMASS, BVH, Habitat (sequence or walk), or that of a plug-in.
 
     Raises:
         FormatError: it is of another kind, or damaged; the message names the file and the key or line.
@@ -104,7 +104,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def motion_bytes(motion: Motion) -> bytes:
-    """Content of the file that `save_motion` writes."""
+    """Return the content of the file that `save_motion` writes."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream,
@@ -196,7 +196,7 @@ MOTIONS: Registry[MotionReader] = Registry(
 
 @cache
 def _readers(path: tuple[str, ...]) -> dict[str, MotionReader]:
-    """All readers, as of one ``sys.path``: looking for installed packages takes 30 ms."""
+    """Return all readers, as of one ``sys.path``: looking for installed packages takes 30 ms."""
     return MOTIONS.load_all()
 
 

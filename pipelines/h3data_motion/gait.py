@@ -76,18 +76,18 @@ class MotionGaits(Gaits):
     cycle: Cycle
 
     def plays(self, speed_mps: ArrayLike) -> bool:
-        """Returns whether the cycle is played at these speeds."""
+        """Return whether the cycle is played at these speeds."""
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
-        """Length of a cycle at given speeds [...] [m], scaled from the captured one where the body moves like it."""
+        """Return the length of a cycle at given speeds [...] [m], scaled from the captured one where the body moves like it."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         jogs = self.cycle.speed_mps > JOG_ABOVE_MPS
         captured = self.cycle.stride_m * np.sqrt((speed if jogs else np.minimum(speed, 2.0)) / self.cycle.speed_mps)
         return np.where((speed > JOG_ABOVE_MPS) == jogs, captured, Gaits.stride_m(self, speed))
 
     def stance(self, speed_mps: float) -> float:
-        """Share of a cycle in which a foot is on the floor, as captured where the body moves like that."""
+        """Return the share of a cycle in which a foot is on the floor, as captured where the body moves like that."""
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
@@ -102,7 +102,7 @@ class MotionGaits(Gaits):
 
 
 def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
-    """The body with a motion's cycle as its walk.
+    """Return the body with a motion's cycle as its walk.
 
     Raises:
         InputError: there is no cycle of walking in it that could be played.
@@ -115,7 +115,7 @@ def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
 
 
 def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
-    """Returns the walking cycle of a clip that was fitted to a body.
+    """Return the walking cycle of a clip that was fitted to a body.
 
     Raises:
         InputError: the clip is none of somebody who walks forwards with both feet on one floor.
@@ -172,7 +172,7 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
 
 
 def cycle_posture(cycle: Cycle, legs: Legs, stride_m: Array, phase: Array) -> Posture:
-    """Postures at ``phase`` [T] with strides [T] [m]: shorter ones than the captured make all movements smaller."""
+    """Return postures at ``phase`` [T] with strides [T] [m]: shorter ones than the captured make all movements smaller."""
     stride = np.broadcast_to(np.asarray(stride_m, np.float64), phase.shape)
     share = np.minimum(stride / cycle.stride_m, 1.0)
     stand = stand_posture(legs, len(phase))
@@ -204,7 +204,7 @@ def cycle_posture(cycle: Cycle, legs: Legs, stride_m: Array, phase: Array) -> Po
 
 # --- taking a clip apart ------------------------------------------------------------------------------------------------
 def _in_body_frame(clip: Clip) -> tuple[Array, Array, Array]:
-    """Rotations [F, 55, 4], pelvis [F, 3] and ankles [F, 2, 3], the pelvis in the middle over the root."""
+    """Return rotations [F, 55, 4], pelvis [F, 3] and ankles [F, 2, 3], the pelvis in the middle over the root."""
     back = quat_conjugate(TO_ROOT)
     quats, pelvis = clip.quats.copy(), quat_rotate(back, clip.pelvis)
     quats[:, 0] = quat_multiply(back, quats[:, 0])
@@ -213,7 +213,7 @@ def _in_body_frame(clip: Clip) -> tuple[Array, Array, Array]:
 
 
 def _right_strike(ankle: Array, name: str) -> float:
-    """Phase at which the right foot does what the left one does at 0."""
+    """Return the phase at which the right foot does what the left one does at 0."""
     left, right = (ankle[:, k, 2] - ankle[:, k, 2].mean() for k in (0, 1))
     alike = [float(np.dot(left, np.roll(right, -shift))) for shift in range(len(left))]
     half = int(np.argmax(alike)) / len(left)
@@ -227,7 +227,7 @@ def _right_strike(ankle: Array, name: str) -> float:
 
 
 def _warped(values: Array, half: float) -> Array:
-    """Values over a cycle [F, ...] whose second half begins at ``half``, so that it begins at 0.5."""
+    """Return values over a cycle [F, ...] whose second half begins at ``half``, so that it begins at 0.5."""
     phase = np.arange(len(values)) / len(values)
     at = np.where(phase < 0.5, 2 * half * phase, half + 2 * (1 - half) * (phase - 0.5))
     unit = values.shape[-1] == 4
@@ -235,19 +235,19 @@ def _warped(values: Array, half: float) -> Array:
 
 
 def _rolled(pitch: Array) -> Array:
-    """Mean over both feet [F, 2], each from its own strike on."""
+    """Return the mean over both feet [F, 2], each from its own strike on."""
     return (pitch[:, 0] + np.roll(pitch[:, 1], -len(pitch) // 2)) / 2
 
 
 def _smoothed(values: Array) -> Array:
-    """Values over a cycle [F] without what lasts about `SMOOTH_FRAMES`."""
+    """Return values over a cycle [F] without what lasts about `SMOOTH_FRAMES`."""
     from scipy.ndimage import gaussian_filter1d
 
     return gaussian_filter1d(values, SMOOTH_FRAMES, mode="wrap")
 
 
 def _sampled(values: Array, phase: Array, *, unit: bool = False) -> Array:
-    """Values over a cycle [F, ...] at phases [T], between frames linearly."""
+    """Return values over a cycle [F, ...] at phases [T], between frames linearly."""
     place = (phase % 1.0) * len(values)
     low = np.floor(place).astype(np.intp) % len(values)
     share = (place - np.floor(place)).reshape(-1, *[1] * (values.ndim - 1))
@@ -258,13 +258,13 @@ def _sampled(values: Array, phase: Array, *, unit: bool = False) -> Array:
 
 
 def _between(values: Array, share: Array) -> Array:
-    """Values at even shares 0..1 [S, K] at shares [T]."""
+    """Return values at even shares 0..1 [S, K] at shares [T]."""
     at = np.linspace(0, 1, len(values))
     return np.stack([np.interp(share, at, column) for column in values.T], axis=1)
 
 
 def _roll(legs: Legs, pitch: Array) -> Array:
-    """Returns the displacement of an ankle, up and forward from a flat foot's, [T, 2] [m].
+    """Return the displacement of an ankle, up and forward from a flat foot's, [T, 2] [m].
 
     The foot pitches by [T] [deg] about its heel or ball.
     """
@@ -283,7 +283,7 @@ def _flight(own: Array, stance: float, strike_m: float, stride_m: float) -> Arra
 
 
 def _with_fingers(quats: Array, legs: Legs) -> Array:
-    """The rotations with the fingers of somebody who stands where fingers have not been captured."""
+    """Return the rotations with the fingers of somebody who stands where fingers have not been captured."""
     still = 2 * np.arccos(np.clip(np.abs(quats[:, _FINGERS, 3]), 0, 1)).max() < STILL_RAD
     if still:
         quats = quats.copy()
@@ -292,7 +292,7 @@ def _with_fingers(quats: Array, legs: Legs) -> Array:
 
 
 def _refuse_twitches(body: Humanoid, name: str) -> None:
-    """Raises an `InputError` if a joint jumps while the captured cycle is played at its speed."""
+    """Raise an `InputError` if a joint jumps while the captured cycle is played at its speed."""
     gaits = body.gaits
     assert isinstance(gaits, MotionGaits)
     cycle, count = gaits.cycle, 128

@@ -21,7 +21,7 @@ _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSE
 
 
 def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
-    """Names of the arrays in an npz file.
+    """Return names of the arrays in an npz file.
 
     Raises:
         FormatError: it is not a zip file.
@@ -42,7 +42,7 @@ def npz_arrays(
     *,
     unpickle: Callable[[bytes, Path | io.BytesIO], Any] | None = None,
 ) -> dict[str, Any]:
-    """Reads the existing arrays among ``names`` (all by default).
+    """Read the existing arrays among ``names`` (all by default).
 
     Args:
         path: the npz file.

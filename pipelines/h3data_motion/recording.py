@@ -21,7 +21,7 @@ TILE_COLORS = ((222, 224, 228), (198, 202, 208))
 def motion_columns(
     motion: Motion, body: Humanoid, *, agent: int = 0, start: ArrayLike = IDENTITY_POSE, step_ns: int = STEP_NS
 ) -> dict[str, NDArray[Any]]:
-    """Columns of a recording in which ``body`` performs the motion, beginning at the pose ``start`` [7] in the world.
+    """Return columns of a recording in which ``body`` performs the motion, beginning at the pose ``start`` [7] in the world.
 
     These are ``time_ns`` and ``agent_<i>.base_pose``, ``.root_pose``, ``.joint_quat`` (`h3data.recording.records`). A motion
     of another body is fitted to this one first (`retarget`). Steps are ``step_ns`` apart, whatever the motion's rate.
@@ -43,7 +43,7 @@ def motion_columns(
 
 
 def motion_recording(motion: Motion, body: Humanoid, *, model: str = "") -> Recording:
-    """A recording of one person performing the motion on a tiled floor, for `Replay`, videos and datasets.
+    """Return a recording of one person performing the motion on a tiled floor, for `Replay`, videos and datasets.
 
     ``model`` names the body in the recording, ``humanoid/<name>`` of a built-in body or a file (default: the body's name).
     """
@@ -69,7 +69,7 @@ def motion_recording(motion: Motion, body: Humanoid, *, model: str = "") -> Reco
 
 
 def _tiles(path_xz: NDArray[np.float64], *, margin: int = 3) -> tuple[Body, ...]:
-    """A floor of squares in two greys below and around a path [T, 2]."""
+    """Return a floor of squares in two greys below and around a path [T, 2]."""
     cells = np.unique(np.floor(path_xz / TILE_M).astype(int), axis=0)
     around = np.stack(np.meshgrid(*[np.arange(-margin, margin + 1)] * 2), axis=-1).reshape(-1, 2)
     cells = np.unique((cells[:, None] + around).reshape(-1, 2), axis=0)

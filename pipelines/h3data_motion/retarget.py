@@ -34,7 +34,7 @@ class FootReport:
 
 
 def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
-    """The motion as this body does it, standing on the floor at y = 0.
+    """Return the motion as this body does it, standing on the floor at y = 0.
 
     Rotations apply by joint. The pelvis' way is scaled by the length of the legs; where the motion does not say how long
     they were, by what keeps planted feet in place. The floor is where soles are when they rest. With ``plant``, legs are
@@ -75,7 +75,7 @@ def _scale(motion: Motion, body: Humanoid) -> float:
 
 
 def _scale_of_planted_feet(motion: Motion, body: Humanoid) -> float | None:
-    """The factor s by which the pelvis must move, so that s v + u = 0 for the lower foot's velocity u relative to it.
+    """Return the factor s by which the pelvis must move, so that s v + u = 0 for the lower foot's velocity u relative to it.
 
     Least squares over the floor plane, repeated without the worst half (feet in the air); None if nobody walks.
     """
@@ -100,7 +100,7 @@ def _scale_of_planted_feet(motion: Motion, body: Humanoid) -> float | None:
 
 
 def _floor(points: Array, fps: float) -> float:
-    """Height of the floor below `sole_points` [T, 2, 3, 3]: where the lowest points are that hardly move."""
+    """Return the height of the floor below `sole_points` [T, 2, 3, 3]: where the lowest points are that hardly move."""
     heights = points[..., 1].reshape(len(points), -1)
     lowest = np.argmin(heights, axis=1)
     rows = np.arange(len(points))

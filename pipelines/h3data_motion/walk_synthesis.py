@@ -100,7 +100,7 @@ def _ramps(time: Array, *, opens: bool, closes: bool) -> Array:
 
 
 def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
-    """The built-in body whose lower foot is nearest, in the median, to its height when standing."""
+    """Return the built-in body whose lower foot is nearest, in the median, to its height when standing."""
     rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
     rows = rows[:: max(1, len(rows) // 32)]
     if not len(rows):
@@ -118,7 +118,7 @@ def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
 
 
 def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
-    """Height of the floor [T] under roots at heights [T] [m].
+    """Return the height of the floor [T] under roots at heights [T] [m].
 
     The up and down of walking is filtered out; on the robot's storey the result is the robot's floor.
     """

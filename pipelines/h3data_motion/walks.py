@@ -33,19 +33,19 @@ GAP_SHARE = 0.75
 
 
 def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
-    """A body called ``name`` that walks as the contents of a motion file say."""
+    """Return a body called ``name`` that walks as the contents of a motion file say."""
     return walks_as(body, load_motion(io.BytesIO(data)), name=name)
 
 
 def facts(data: bytes) -> dict[str, str]:
-    """Returns the facts of a walk that recordings hold, from the contents of its file."""
+    """Return the facts of a walk that recordings hold, from the contents of its file."""
     motion = load_motion(io.BytesIO(data))
     return {"name": motion.name, "source": motion.source}
 
 
 @lru_cache(maxsize=16)
 def walk_file(path: str) -> bytes:
-    """The contents of the file that keeps the walk in a motion file.
+    """Return the contents of the file that keeps the walk in a motion file.
 
     Raises:
         InputError: there is no such file, or nobody walks in it.
@@ -57,7 +57,7 @@ def walk_file(path: str) -> bytes:
 
 
 def walk_of(motion: Motion) -> Motion:
-    """The part of a motion that becomes a walk: its best cycle, and a little before and after it.
+    """Return the part of a motion that becomes a walk: its best cycle, and a little before and after it.
 
     Raises:
         InputError: it has too few frames a second, or nobody walks in it for a cycle without a cut.
@@ -91,7 +91,7 @@ def walk_of(motion: Motion) -> Motion:
 
 
 def _walked(motion: Motion) -> Motion:
-    """The longest part of a motion in which somebody walks steadily."""
+    """Return the longest part of a motion in which somebody walks steadily."""
     count = max(2, round(PACE_S * motion.fps))
     pace = np.linalg.norm(motion.pelvis[count:, ::2] - motion.pelvis[:-count, ::2], axis=1) * motion.fps / count
     fastest = float(np.percentile(pace, 95))
@@ -106,7 +106,7 @@ def _walked(motion: Motion) -> Motion:
 
 
 def _uncut(motion: Motion, body: Humanoid) -> list[Motion]:
-    """The parts of a motion between its jump cuts that are long enough for a cycle."""
+    """Return the parts of a motion between its jump cuts that are long enough for a cycle."""
     at = np.tile(IDENTITY_POSE, (len(motion), 1))
     places = body.joint_matrices(at, motion.quats, motion.pelvis)[:, :22, :3, 3]
     jumps = np.linalg.norm(np.diff(places, n=2, axis=0), axis=-1).mean(axis=1)
@@ -124,7 +124,7 @@ def _uncut(motion: Motion, body: Humanoid) -> list[Motion]:
 
 
 def _longest_walk(parts: list[Motion]) -> Motion:
-    """The longest walk in any of the parts."""
+    """Return the longest walk in any of the parts."""
     walks, faults = [], []
     for part in parts:
         try:

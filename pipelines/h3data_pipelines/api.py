@@ -5,8 +5,9 @@ Each is imported at first use, from the module of its command.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from h3data.moved import lazy_names
 
 if TYPE_CHECKING:
     from h3data_pipelines.commands.benchmarking import run_benchmark as run_benchmark
@@ -21,22 +22,19 @@ if TYPE_CHECKING:
     from h3data_pipelines.hub.syncing import sync as sync
     from h3data_pipelines.pictures.rerender import rerender as rerender
 
-_HOMES = {
-    "card": "h3data_pipelines.hub.card",
-    "evaluate": "h3data_pipelines.commands.evaluating",
-    "export": "h3data_pipelines.commands.exporting",
-    "generate": "h3data_pipelines.commands.generate",
-    "import_": "h3data_pipelines.commands.importing",
-    "pull": "h3data_pipelines.hub.pulling",
-    "push": "h3data_pipelines.hub.pushing",
-    "rerender": "h3data_pipelines.pictures.rerender",
-    "run_benchmark": "h3data_pipelines.commands.benchmarking",
-    "sync": "h3data_pipelines.hub.syncing",
-    "verify_benchmark": "h3data_pipelines.commands.benchmarking",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'h3data_pipelines.api' has no attribute {name!r}; it has {', '.join(_HOMES)}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "card": "h3data_pipelines.hub.card",
+        "evaluate": "h3data_pipelines.commands.evaluating",
+        "export": "h3data_pipelines.commands.exporting",
+        "generate": "h3data_pipelines.commands.generate",
+        "import_": "h3data_pipelines.commands.importing",
+        "pull": "h3data_pipelines.hub.pulling",
+        "push": "h3data_pipelines.hub.pushing",
+        "rerender": "h3data_pipelines.pictures.rerender",
+        "run_benchmark": "h3data_pipelines.commands.benchmarking",
+        "sync": "h3data_pipelines.hub.syncing",
+        "verify_benchmark": "h3data_pipelines.commands.benchmarking",
+    },
+)

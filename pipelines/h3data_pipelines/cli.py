@@ -24,7 +24,7 @@ ABOUT = """Simulate people and robots sharing a home, record everything, and ren
 
 
 def jsonable(value: Any) -> Any:
-    """The value as JSON can hold it: NaN and infinities become null, NumPy scalars plain numbers."""
+    """Return the value as JSON can hold it: NaN and infinities become null, NumPy scalars plain numbers."""
     if isinstance(value, dict):
         return {str(k): jsonable(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -35,7 +35,7 @@ def jsonable(value: Any) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit code."""
+    """Run one command and return its exit code."""
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt as stop:
@@ -85,7 +85,7 @@ def _run(args: list[str]) -> int:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Turns off progress, notices and warnings, in worker processes too."""
+    """Turn off progress, notices and warnings, in worker processes too."""
     from h3data.progress import QUIET
 
     before = os.environ.get(QUIET)
@@ -104,7 +104,7 @@ def _silence() -> Iterator[None]:
 
 
 def _message(error: BaseException) -> str:
-    """One line about an error, including those of the operating system that a user can fix (permissions, full disks)."""
+    """Return one line about an error, including those of the operating system that a user can fix (permissions, full disks)."""
     if isinstance(error, MemoryError):
         return f"Out of memory ({error})." if str(error) else "Out of memory."
     if isinstance(error, ModuleNotFoundError):
@@ -135,7 +135,7 @@ def _print(text: str) -> None:
 
 
 def _close_stdout() -> None:
-    """Discards further output, also what Python flushes at exit: a reader has closed the pipe (``| head``), a disk is full."""
+    """Discard further output, also what Python flushes at exit: a reader has closed the pipe (``| head``), a disk is full."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

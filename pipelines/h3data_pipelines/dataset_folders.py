@@ -31,7 +31,7 @@ _PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
 
 
 def remove_dataset(root: AnyPath) -> None:
-    """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
+    """Delete the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
     from h3data.recording.parquet.files import is_begun
 
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
@@ -58,7 +58,7 @@ def remove_dataset(root: AnyPath) -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delays Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
+    """Delay Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

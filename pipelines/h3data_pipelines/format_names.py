@@ -13,7 +13,7 @@ def import_suffixes() -> tuple[str, ...]:
 
 
 def export_format(name: str) -> Format:
-    """The format to export to, by its name or as ``module:name``.
+    """Return the format to export to, by its name or as ``module:name``.
 
     Raises:
         InputError: nothing can be exported to it.

@@ -12,7 +12,7 @@ from h3data.errors import InputError, suggest
 
 
 def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
-    """The words of each option that a job file sets, by field, as if they had been given on the command line.
+    """Return the words of each option that a job file sets, by field, as if they had been given on the command line.
 
     Keys are the names of options and positional arguments, with dashes or underscores: ``episodes = 20``,
     ``cameras = ["robot_arm", "third_person"]``, ``task = "social_nav"``.
@@ -48,7 +48,7 @@ def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
 
 
 def _key(name: str) -> str:
-    """An option as a key: ``human-walk`` of ``--human-walk`` and of ``human_walk``."""
+    """Return an option as a key: ``human-walk`` of ``--human-walk`` and of ``human_walk``."""
     return name.lstrip("-").replace("_", "-")
 
 

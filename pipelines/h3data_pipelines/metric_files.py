@@ -27,7 +27,7 @@ _NUMBERS = ("steps", "robot", "human", "encounter_row", "contact_row")
 
 
 def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
-    """Writes a table to ``.parquet`` or ``.csv`` (one row per episode) or ``.json`` (with means) and returns its path.
+    """Write a table to ``.parquet`` or ``.csv`` (one row per episode) or ``.json`` (with means) and return its path.
 
     Undefined values are null, empty, and null, respectively. The metadata of the Parquet file name profile and metric ids.
     """
@@ -38,7 +38,7 @@ def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
 
 
 def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Writes the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; returns the number of rows.
+    """Write the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; return the number of rows.
 
     Columns: episode_id, row, time_ns, then the series of the first recording; those a later one lacks are null.
     """
@@ -49,7 +49,7 @@ def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], 
 
 
 def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Writes the runs of rows in which flags of a profile hold to ``.parquet`` or ``.csv``; returns their number.
+    """Write the runs of rows in which flags of a profile hold to ``.parquet`` or ``.csv``; return their number.
 
     Columns: episode_id, what (the flag), first_row, last_row, seconds.
     """
@@ -60,7 +60,7 @@ def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], 
 
 
 def events_of(recording: Recording, profile: str | None = None) -> list[dict[str, Any]]:
-    """Returns every run of rows in which a flag of the profile holds, in the order of their first rows."""
+    """Return every run of rows in which a flag of the profile holds, in the order of their first rows."""
     times = recording.columns["time_ns"]
     events = [
         {"what": name, "first_row": int(a), "last_row": int(b), "seconds": float(times[b] - times[a]) * 1e-9}
@@ -102,7 +102,7 @@ def _table_parquet(table: MetricsTable, path: Path) -> None:
 
 
 def _player_columns(table: MetricsTable) -> tuple[str, ...]:
-    """Columns that tell who played, as far as the recordings say."""
+    """Return columns that tell who played, as far as the recordings say."""
     return tuple(name for name in _PLAYERS if any(getattr(row, name) for row in table.episodes))
 
 
@@ -146,7 +146,7 @@ def _write_csv(tables: Iterable[pa.Table], path: Path) -> int:
 
 
 def _write(tables: Iterable[pa.Table], open_writer: Callable[[pa.Schema], Any]) -> int:
-    """Writes tables one after the other with the columns of the first; returns the number of rows."""
+    """Write tables one after the other with the columns of the first; return the number of rows."""
     rows, writer, schema = 0, None, pa.schema([("episode_id", pa.string())])
     try:
         for table in tables:
@@ -161,7 +161,7 @@ def _write(tables: Iterable[pa.Table], open_writer: Callable[[pa.Schema], Any]) 
 
 
 def _in_shape(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """A table with the columns of ``schema`` only: nulls for those it lacks."""
+    """Return a table with the columns of ``schema`` only: nulls for those it lacks."""
     columns = [
         table[f.name].cast(f.type) if f.name in table.column_names else pa.nulls(len(table), f.type) for f in schema
     ]

@@ -11,7 +11,7 @@ from h3data.metrics.requirements import missing_columns
 from h3data.recording.records import Recording
 
 _RUNS = 4
-"""Runs of a flag that are listed."""
+"""Number of runs of a flag that are listed."""
 
 
 def explain(metric: Metric) -> str:
@@ -33,7 +33,7 @@ def explain(metric: Metric) -> str:
 
 
 def explain_episode(metric: Metric, recording: Recording, *, profile: str | None = None) -> str:
-    """Returns text on a metric in one episode: value, data read, why it is 0 or undefined, and the rows that decided it.
+    """Return text on a metric in one episode: value, data read, why it is 0 or undefined, and the rows that decided it.
 
     ``profile`` names the metric's profile if it has no registered name, such as ``module:name``.
     """
@@ -68,7 +68,7 @@ def explain_episode(metric: Metric, recording: Recording, *, profile: str | None
 
 
 def describe(name: str, values: NDArray) -> str:
-    """Returns one line about a series [T]: the rows in which a flag holds, or the extremes of a quantity."""
+    """Return one line about a series [T]: the rows in which a flag holds, or the extremes of a quantity."""
     if values.dtype == np.bool_:
         spans = runs(values)
         if not len(spans):
@@ -85,13 +85,13 @@ def describe(name: str, values: NDArray) -> str:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Returns the first and last row of each run in which a flag [T] holds, shape [R, 2]."""
+    """Return the first and last row of each run in which a flag [T] holds, shape [R, 2]."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1], axis=1)
 
 
 def list_metrics() -> str:
-    """Returns a list of every metric of every profile that has a name, one line each."""
+    """Return a list of every metric of every profile that has a name, one line each."""
     profiles = all_profiles()
     every = [m for p in profiles for m in p.metrics]
     widths = max(len(m.id) for m in every), max(len(m.unit) for m in every)

@@ -27,7 +27,7 @@ def _listed(option: Option, words: Iterable[str]) -> list[str]:
 
 
 def read_value(option: Option, given: Any) -> Any:
-    """The value of an option from its words.
+    """Return the value of an option from its words.
 
     Raises:
         ValueError: they are not of its type; the message says what was expected and what came.

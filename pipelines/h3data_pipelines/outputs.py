@@ -44,13 +44,13 @@ class Target:
 
     @classmethod
     def named(cls, folder: Path, stem: str, camera: str, output: Output, format: Format) -> Target:
-        """The target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
+        """Return the target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
         form = _FORMS[format][min(OUTPUTS.index(output), 2)]
         return cls(output, form, folder / f"{stem}.{camera}.{output}{_SUFFIXES[form]}")
 
     @property
     def colored(self) -> bool:
-        """Returns whether depth and ids are stored as colours."""
+        """Return whether depth and ids are stored as colours."""
         return self.form in ("h264", "av1")
 
     @property
@@ -65,7 +65,7 @@ class Target:
     def open(
         self, camera: Camera, fps: float, picture: ToPicture, *, encoder_threads: int = 1
     ) -> AbstractContextManager[Sink]:
-        """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs.
+        """Return a sink for the frames. The target gets its name at the end of the block, unless an exception occurs.
 
         ``encoder_threads`` is the number of threads of an H.264 encoder, on which the bytes of the file depend.
         """
@@ -78,11 +78,11 @@ class Sink(Protocol):
     """Stores frames in two steps."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
-        """The work that can run in any thread and any order; the result goes to `write`."""
+        """Return the work that can run in any thread and any order; the result goes to `write`."""
         ...
 
     def write(self, frame: Any) -> None:
-        """Stores a frame; called in the order of frames."""
+        """Store a frame; called in the order of frames."""
         ...
 
 

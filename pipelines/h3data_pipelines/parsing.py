@@ -52,7 +52,7 @@ class Invocation:
 
 
 def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Invocation:
-    """The command that ``args`` name, with its options. Help and the version are printed and end in `SystemExit`.
+    """Return the command that ``args`` name, with its options. Help and the version are printed and end in `SystemExit`.
 
     Raises:
         InputError: there is no such command or option, one is missing, or a value has the wrong type.
@@ -73,7 +73,7 @@ def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *,
 
 
 def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invocation:
-    """The command with its options, from its words and a ``--config`` file.
+    """Return the command with its options, from its words and a ``--config`` file.
 
     tyro assigns the words to the fields and prints help. Its errors are boxes of text for a terminal, and the hook that
     would give them as objects (``tyro._errors``) is private and unstable. So it never sees an error: fields are optional
@@ -116,7 +116,7 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
 
 
 def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
-    """The words without the options that all commands share, and these: ``--quiet`` and the path after ``--config``.
+    """Return the words without the options that all commands share, and these: ``--quiet`` and the path after ``--config``.
 
     A module after ``--trust`` is trusted at once, in the processes of the command too.
     """
@@ -141,7 +141,7 @@ def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
 
 
 def _help(command: type[Command], prog: str, task: str) -> NoReturn:
-    """Prints the help of a command: summary, options, and the examples last, where a terminal still shows them.
+    """Print the help of a command: summary, options, and the examples last, where a terminal still shows them.
 
     Of a command whose options differ between tasks, ``task`` chooses what is shown; empty: what all of them have.
     """
@@ -175,7 +175,7 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
 
 @functools.cache
 def _unread(command: type[Command]) -> Any:
-    """A class with the fields of the command as optional texts."""
+    """Return a class with the fields of the command as optional texts."""
     defaults = {bool: False}
     fields = [
         (o.field, o.word_type, dataclasses.field(default=defaults.get(o.kind, _ABSENT if o.count == 1 else ())))
@@ -185,7 +185,7 @@ def _unread(command: type[Command]) -> Any:
 
 
 def _documented(command: type[Command], task: str) -> Any:
-    """A subclass of the command whose help shows only defaults that mean something, and only options of ``task``.
+    """Return a subclass of the command whose help shows only defaults that mean something, and only options of ``task``.
 
     An empty task leaves out all that only some tasks have; one of another package may have any option.
     """
@@ -217,7 +217,7 @@ def _documented(command: type[Command], task: str) -> Any:
 
 
 def _hint(note: str, label: str) -> str:
-    """Returns the end of an option's help: its meaning in the task, and its default if that is informative."""
+    """Return the end of an option's help: its meaning in the task, and its default if that is informative."""
     return " ".join(filter(None, (note, "" if label in _SILENT else f"(default: {label})")))
 
 
@@ -238,7 +238,7 @@ def _refuse_option(unknown: list[str], options: tuple[Option, ...], see: str) ->
 
 
 def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
-    """The option after which a value is missing."""
+    """Return the option after which a value is missing."""
     by_flag = {flag: option for option in options if option.kind is not bool for flag in option.flags}
     for word, following in zip(words, [*words[1:], "--"], strict=True):
         option = by_flag.get(word.replace("_", "-"))
@@ -268,7 +268,7 @@ def _width() -> int:
 
 
 def _wrapped(text: str) -> str:
-    """Returns paragraphs with lines no wider than the terminal; indented lines, as of tables, stay as they are."""
+    """Return paragraphs with lines no wider than the terminal; indented lines, as of tables, stay as they are."""
     lines: list[str] = []
     for kept, group in itertools.groupby(text.strip().splitlines(), lambda line: not line or line[0].isspace()):
         together = list(group)
@@ -283,7 +283,7 @@ def _leave(text: str) -> NoReturn:
 
 
 def _overview(prog: str, about: str, commands: Mapping[str, type[Command] | Group]) -> str:
-    """The first page of help: all commands with a line or two on each."""
+    """Return the first page of help: all commands with a line or two on each."""
     width = _width()
     longest = max(map(len, commands))
     indent = " " * (longest + 4)
@@ -325,7 +325,7 @@ def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 def _shown(metavar: str, *, count: int = 1) -> PrimitiveConstructorSpec[Any]:
-    """Returns a value as help shows it, where `read_value` reads it instead of tyro."""
+    """Return a value as help shows it, where `read_value` reads it instead of tyro."""
     return PrimitiveConstructorSpec(
         nargs=count,
         metavar=metavar,

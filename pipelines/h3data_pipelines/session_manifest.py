@@ -42,7 +42,7 @@ class ManifestRow:
     say: Mapping[str, str | int]
 
     def fits(self, recording: Recording, file: PurePosixPath) -> bool:
-        """Returns whether all its choosing cells fit a recording that was imported from ``file``."""
+        """Return whether all its choosing cells fit a recording that was imported from ``file``."""
         info = recording.episode.info
         people = [str(name) for name in dict(info.get("participants") or {}).values()]
         tests = {
@@ -66,7 +66,7 @@ class SessionManifest:
     """Lines of the rows that fitted a recording."""
 
     def applied(self, recording: Recording, file: PurePosixPath) -> tuple[Recording, bool]:
-        """The recording with what the rows say about it in `Episode.info`, and whether any row fitted.
+        """Return the recording with what the rows say about it in `Episode.info`, and whether any row fitted.
 
         Args:
             recording: The imported recording.
@@ -89,7 +89,7 @@ class SessionManifest:
 
 
 def read_manifest(path: Path) -> SessionManifest:
-    """Reads the CSV manifest at ``path``.
+    """Read the CSV manifest at ``path``.
 
     Raises:
         InputError: there is no such file.

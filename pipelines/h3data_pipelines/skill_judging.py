@@ -26,11 +26,11 @@ class SkillScore(NamedTuple):
     path_m: float
     """Length of the shortest path to where the target is reached from, at the start."""
     contact: int
-    """Steps in which the base touched the home."""
+    """Number of steps in which the base touched the home."""
 
 
 def action_of(start: SkillStart) -> Action:
-    """The action of the upper layer that a start is for."""
+    """Return the action of the upper layer that a start is for."""
     name = {"nav": "nav_to_goal" if start.holds else "nav_to_object"}.get(start.skill, start.skill)
     return Action(name, start.target)
 
@@ -41,7 +41,7 @@ def judge(
     learned: Mapping[str, LearnedSkill],
     watch: Callable[[WorldRollout], object] | None = None,
 ) -> SkillScore:
-    """Plays one skill to its end.
+    """Play one skill to its end.
 
     Args:
         episode: Episode, of whose agents only the first robot is present.
@@ -68,7 +68,7 @@ def judge(
 
 
 def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> WorldRollout:
-    """The episode with its first robot alone, where a skill begins."""
+    """Return the episode with its first robot alone, where a skill begins."""
     play = WorldRollout.of(Rearrange(), episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
     home = play.team
     robot = home.robots[0]

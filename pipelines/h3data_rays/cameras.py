@@ -21,7 +21,7 @@ _LARGEST_FACE_PX = 4096
 
 
 def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArray]) -> None:
-    """Fills every output [H, W, ...] except ``rgb``, for a camera of any projection."""
+    """Fill every output [H, W, ...] except ``rgb``, for a camera of any projection."""
     start, directions = camera.rays()
     turn, eye = camera.pose[:3, :3], camera.pose[:3, 3]
     origins, directions = (start + camera.near * directions) @ turn.T + eye, directions @ turn.T
@@ -41,7 +41,7 @@ def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArra
 def picture_from_cube(
     camera: Camera, render_face: Callable[[Camera], NDArray[np.uint8]], rgb: NDArray[np.uint8]
 ) -> None:
-    """Fills ``rgb`` [H, W, 3] of a non-planar camera; ``render_face`` renders a perspective one."""
+    """Fill ``rgb`` [H, W, 3] of a non-planar camera; ``render_face`` renders a perspective one."""
     import cv2
 
     size = int(min(2 * np.ceil(max(camera.fx, camera.fy)), _LARGEST_FACE_PX)) + 2 * _MARGIN_PX
@@ -65,7 +65,7 @@ def picture_from_cube(
 
 
 def _face(k: int) -> NDArray[np.float64]:
-    """Rotation [3, 3] from face k to the camera; faces look along +x, -x, +y, -y, +z, -z."""
+    """Return the rotation [3, 3] from face k to the camera; faces look along +x, -x, +y, -y, +z, -z."""
     turn = np.zeros((3, 3))
     axis, sign = k // 2, 1.0 - 2 * (k % 2)
     turn[axis, 2] = sign

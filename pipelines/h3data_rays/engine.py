@@ -42,7 +42,7 @@ class HybridEngine(CpuEngine):
         samples: int,
         out: Mapping[str, NDArray] | None,
     ) -> dict[str, NDArray]:
-        """Renders each camera by the rasteriser, by rays, or by both, as its projection and outputs need."""
+        """Render each camera by the rasteriser, by rays, or by both, as its projection and outputs need."""
         geometry = any(name != "rgb" for name in outputs)
         for camera, world in zip(cameras, worlds, strict=True):  # casters are built before the threads start
             if self._shadows(outputs) or (geometry and self._casts(camera)):

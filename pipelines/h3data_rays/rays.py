@@ -96,7 +96,7 @@ class Part:
         return hits
 
     def _solid(self, triangles: NDArray[np.int32], origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
-        """Returns whether rays meet their triangles outside any hole."""
+        """Return whether rays meet their triangles outside any hole."""
         # Recomputed in double (Moeller & Trumbore 1997): Embree's float32 barycentrics are too coarse on slivers.
         a, b, c = self._vertices[self._faces[triangles]].astype(np.float64).swapaxes(0, 1)
         ray, start = directions.astype(np.float64), origins - a
@@ -111,7 +111,7 @@ class Part:
         return solid_points(self._tables.maps, self._tables.opacity, self._surface.face_textures[face], uv)
 
     def occluded(self, origins: NDArray, directions: NDArray, limits: NDArray) -> NDArray[np.bool_]:
-        """Returns whether rays [N, 3] meet any surface up to ``limits`` [N]."""
+        """Return whether rays [N, 3] meet any surface up to ``limits`` [N]."""
         return self.cast(origins, directions, limits)["primID"] >= 0
 
 
@@ -136,7 +136,7 @@ class RayCaster:
         self.parts = [Part(scene, self.poses, np.flatnonzero(mask))] if parts is None else list(parts)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> Hits:
-        """The first surface that each ray [..., 3] meets (origins and directions are broadcast); NaN rays always miss.
+        """Return the first surface that each ray [..., 3] meets (origins and directions are broadcast); NaN rays always miss.
 
         ``max_m`` limits the distance, in lengths of the direction.
         """
@@ -156,7 +156,7 @@ class RayCaster:
         )
 
     def blocked(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> NDArray[np.bool_]:
-        """Returns whether rays [..., 3] meet any surface, shape [...]."""
+        """Return whether rays [..., 3] meet any surface, shape [...]."""
         origins, directions, limits, shape = _rays(origins, directions, max_m)
         hit = np.zeros(len(limits), np.bool_)
         for part in self.parts:
@@ -164,7 +164,7 @@ class RayCaster:
         return hit.reshape(shape)
 
     def line_of_sight(self, start: ArrayLike, end: ArrayLike, *, margin_m: float = 0.01) -> NDArray[np.bool_]:
-        """Returns whether segments between points [..., 3] [m] are clear, ignoring surfaces within ``margin_m`` of an end.
+        """Return whether segments between points [..., 3] [m] are clear, ignoring surfaces within ``margin_m`` of an end.
 
         Exclude the bodies at both ends with ``shown`` when building the caster.
         """
@@ -208,7 +208,7 @@ class RayCaster:
         return out
 
     def sunlight(self, points: NDArray, normals: NDArray, light: Light) -> NDArray[np.float32]:
-        """Share of the sun's disc, shape [H, W], visible from points [H, W, 3] with unit normals [H, W, 3].
+        """Return the share of the sun's disc, shape [H, W], visible from points [H, W, 3] with unit normals [H, W, 3].
 
         Casts ``light.shadow_rays`` rays per pixel, spread over the disc (Vogel's spiral) and rotated from pixel to pixel.
         """
@@ -270,13 +270,15 @@ class LidarScanner:
     """Distances of lidars in a scene of which most never moves."""
 
     def __init__(self, scene: RenderScene, poses: Poses, still: NDArray[np.bool_]) -> None:
-        """Prepares the instances [I] that are ``still``, once for all scans."""
+        """Prepare the instances [I] that are ``still``, once for all scans."""
         self._scene, self._still = scene, Part(scene, poses, np.flatnonzero(still))
 
     def scan(
         self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
     ) -> NDArray[np.float32]:
-        """Distances [L, C] [m], the range where nothing is nearer; of other instances, those that are ``shown`` [I] count.
+        """Return distances [L, C] [m], the range where nothing is nearer.
+
+        Other instances count if they are ``shown`` [I].
 
         Args:
             poses: Poses of all instances.

@@ -53,7 +53,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """True if the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
     ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
-    """Key of the chunk of actions in an answer; of several, the columns follow each other."""
+    """Key of the chunk of actions in an answer; if several keys are given, their columns are put side by side."""
     columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
     """Columns of a chunk that are the robot's, in this order; empty: all."""
     action: Literal["base", "control"] = "base"
@@ -73,12 +73,12 @@ DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
 
 
 def built_in_adapters() -> tuple[str, ...]:
-    """Names of the adapters that come with the package."""
+    """Return names of the adapters that come with the package."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
 def read_adapter(name: str) -> Adapter:
-    """Reads the adapter with a name or from a TOML file.
+    """Read the adapter with a name or from a TOML file.
 
     Raises:
         InputError: there is none, or it is malformed; the message names the field.
@@ -97,7 +97,7 @@ def read_adapter(name: str) -> Adapter:
 
 
 def adapter_of(table: Any, what: str) -> Adapter:
-    """The adapter that a table describes.
+    """Return the adapter that a table describes.
 
     Raises:
         InputError: it is malformed; the message begins with ``what``.
@@ -112,7 +112,7 @@ class Observer:
     """Makes the observations that an adapter asks for of a robot."""
 
     def __init__(self, adapter: Adapter, body: Body, *, batched: bool) -> None:
-        """Looks up cameras and sizes.
+        """Look up cameras and sizes.
 
         Args:
             adapter: Adapter that lists the observations to send.
@@ -144,7 +144,7 @@ class Observer:
                 self._padded[key] = entry.size
 
     def observation(self, view: Any) -> dict[str, Any]:
-        """The entries by key, for a view of `sim_kinematic.policies.views`.
+        """Return the entries by key, for a view of `sim_kinematic.policies.views`.
 
         Raises:
             InputError: the robot has no such observation.
@@ -166,7 +166,7 @@ class Observer:
 
 
 def _fitting(body: Body, name: str, size: tuple[int, int]) -> tuple[int, int]:
-    """The largest size within ``size`` that has the proportions of the camera."""
+    """Return the largest size within ``size`` that has the proportions of the camera."""
     if name in DETECTORS and name == "humanoid_detector":
         return size
     height, width = AgentPictures(body, (name,), agent=0).limits(name).shape[:2]
@@ -175,7 +175,7 @@ def _fitting(body: Body, name: str, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
-    """The picture [h, w, n] in the middle of a black one of ``size`` (width, height), [H, W, n]."""
+    """Return the picture [h, w, n] in the middle of a black one of ``size`` (width, height), [H, W, n]."""
     height, width = picture.shape[:2]
     out = np.zeros((size[1], size[0], *picture.shape[2:]), picture.dtype)
     top, left = (size[1] - height) // 2, (size[0] - width) // 2
@@ -198,7 +198,7 @@ def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
 def chunk_of(
     answer: Mapping[str, Any], adapter: Adapter, width: int, server: str, *, batched: bool
 ) -> NDArray[np.float32]:
-    """The actions of an answer that will be carried out, [hold, width] in -1..1.
+    """Return the actions of an answer that will be carried out, [hold, width] in -1..1.
 
     Args:
         answer: Answer of the server.

@@ -29,21 +29,21 @@ class SlowPolicy(Protocol):
         ...
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
-        """Returns the actions [hold, width] that the server answers with."""
+        """Return the actions [hold, width] that the server answers with."""
         ...
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Any:
-        """Returns the choice that one action [width] means."""
+        """Return the choice that one action [width] means."""
         ...
 
     def reconnect(self) -> None:
-        """Begins a new conversation."""
+        """Begin a new conversation."""
 
     def close(self) -> None:
         """End the conversation with the server."""
 
     def recorded_info(self) -> dict[str, Any]:
-        """Returns what a recording says about the server."""
+        """Return what a recording says about the server."""
         ...
 
 
@@ -68,7 +68,7 @@ class BackgroundPolicy:
         self._thread.start()
 
     def command(self, view: Any) -> Any:
-        """The choice for the next step; never waits."""
+        """Return the choice for the next step; never waits."""
         while not self._answers.empty():
             answer, self._is_asked = self._answers.get(), False
             if isinstance(answer, PolicyServerError):
@@ -90,7 +90,7 @@ class BackgroundPolicy:
         return self._policy.choice(self._last, view)
 
     def after(self, spans: list[Any]) -> None:
-        """Takes note of nothing: commands of servers are no skills that end."""
+        """Take note of nothing: commands of servers are no skills that end."""
 
     def recorded_info(self) -> dict[str, Any]:
         """Recorded info of the policy, with the number of late answers."""
@@ -98,7 +98,7 @@ class BackgroundPolicy:
         return {"remote": [{**found, "late_steps": self.late, "faults": self.faults}]}
 
     def close(self) -> None:
-        """Ends the thread as soon as its server answers, and then the conversation."""
+        """End the thread as soon as its server answers, and then the conversation."""
         self._requests.put(None)
 
     def _serve(self) -> None:

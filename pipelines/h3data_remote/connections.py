@@ -54,12 +54,12 @@ class Address:
 
     @property
     def is_loopback(self) -> bool:
-        """Returns whether the server is on this machine."""
+        """Return whether the server is on this machine."""
         return self.host in LOOPBACK
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """The address in a text.
+        """Return the address in a text.
 
         Raises:
             InputError: it is no address, or has a user or password.
@@ -97,7 +97,7 @@ class Connection(Protocol):
     """Metadata that the server states about itself."""
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """The server's answer.
+        """Return the server's answer.
 
         Raises:
             PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
@@ -105,7 +105,7 @@ class Connection(Protocol):
         ...
 
     def close(self) -> None:
-        """Ends the conversation; more than once does nothing."""
+        """End the conversation; more than once does nothing."""
 
 
 def connect(address: Address) -> Connection:
@@ -128,7 +128,7 @@ class WebSocketConnection:
     """Openpi's protocol: the server greets with its metadata; then one map goes out and one comes back, in turn."""
 
     def __init__(self, address: Address, key: str = "") -> None:
-        """Connects, and reads what the server says about itself.
+        """Connect, and read what the server says about itself.
 
         Args:
             address: Address of the server.
@@ -174,7 +174,7 @@ class WebSocketConnection:
             raise
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """The server's answer to a request.
+        """Return the server's answer to a request.
 
         Raises:
             PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
@@ -200,7 +200,7 @@ class WebSocketConnection:
             raise
 
     def close(self) -> None:
-        """Ends the conversation; more than once does nothing."""
+        """End the conversation; more than once does nothing."""
         if self._is_open:
             self._is_open = False
             with suppress(OSError, WebSocketException, AttributeError):
@@ -210,7 +210,7 @@ class WebSocketConnection:
 
     # --- inside -------------------------------------------------------------------------------------------------------
     def _refuse_more(self, deadline: float, timeout_s: float) -> None:
-        """Refuses a server that has sent more than it was asked for: each later answer would be taken for the next request's.
+        """Refuse a server that has sent more than it was asked for: each later answer would be taken for the next request's.
 
         Raises:
             PolicyServerError: it has.
@@ -278,7 +278,7 @@ class WebSocketConnection:
             raise self._gone("" if closed is None else f"code {int(closed.code)} {closed.reason}".strip())
 
     def _take(self, frame: Frame) -> None:
-        """Puts frames of one message together."""
+        """Put frames of one message together."""
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
             self._parts.append(frame)
             if frame.fin:
@@ -304,7 +304,7 @@ class WebSocketConnection:
 
 
 def _read(codec: Codec, packed: bytes, address: Address) -> Any:
-    """The message in what a server has sent."""
+    """Return the message in what a server has sent."""
     try:
         return codec.unpack(packed)
     except PolicyServerError as fault:
@@ -317,7 +317,7 @@ class ZmqConnection:
     """GR00T's protocol: requests to named endpoints over ZeroMQ, each with one answer."""
 
     def __init__(self, address: Address, key: str = "") -> None:
-        """Connects, and asks for the configuration that describes the server.
+        """Connect, and ask for the configuration that describes the server.
 
         Args:
             address: Address of the server.
@@ -350,7 +350,7 @@ class ZmqConnection:
             raise
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """The server's answer to an observation.
+        """Return the server's answer to an observation.
 
         Raises:
             PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
@@ -369,7 +369,7 @@ class ZmqConnection:
         )
 
     def close(self) -> None:
-        """Ends the conversation; more than once does nothing."""
+        """End the conversation; more than once does nothing."""
         if not self._socket.closed:
             self._socket.disable_monitor()
             self._breaks.close(linger=0)

@@ -28,13 +28,13 @@ from sim_kinematic.policies.policy import Velocity
 OWN = "h3data"
 """Entry of a server's metadata that is for us: ``name``, ``adapter``, ``batch``, ``view``."""
 MOST_METADATA = 4096
-"""Bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
+"""Number of bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
 _ANSWERED: set[str] = set()
 """Servers that have answered this process before, so that they need not compile any more."""
 
 
 def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
-    """Returns the maker of a server's policy for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
+    """Return the maker of a server's policy for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
 
     Args:
         address: Address of the server, as read by `Address.of`.
@@ -67,7 +67,7 @@ def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> Polic
 
 
 def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) -> Adapter:
-    """The adapter that the user has chosen, else that of the server, else the default of its protocol.
+    """Return the adapter that the user has chosen, else that of the server, else the default of its protocol.
 
     Raises:
         InputError: that of the server is malformed.
@@ -81,7 +81,7 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
 
 
 def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns the facts that a server of ours states in its metadata; none for other servers."""
+    """Return the facts that a server of ours states in its metadata; none for other servers."""
     own = metadata.get(OWN)
     return own if isinstance(own, dict) else {}
 
@@ -96,7 +96,7 @@ class RemotePolicy:
     """Constant True: the recorded actions are repeated without asking the policy (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
-        """Connects to the server.
+        """Connect to the server.
 
         Args:
             where: Address of the server.
@@ -146,7 +146,7 @@ class RemotePolicy:
         self.adapter = adapter_for(self.connection, self.where, self._chosen)
 
     def reconnect(self) -> None:
-        """Begins a new conversation, after one that failed.
+        """Begin a new conversation, after one that failed.
 
         Raises:
             PolicyServerError: nobody answers.
@@ -155,12 +155,12 @@ class RemotePolicy:
         self._connect()
 
     def close(self) -> None:
-        """Ends the conversation; happens by itself when the policy is no longer used."""
+        """End the conversation; happens by itself when the policy is no longer used."""
         self._closing()
 
     # --- one decision -------------------------------------------------------------------------------------------------
     def act(self, view: Any) -> Velocity | Action:
-        """The next action of the present chunk; of a new one where it is used up, or where steps were left out.
+        """Return the next action of the present chunk; of a new one where it is used up, or where steps were left out.
 
         Raises:
             PolicyServerError: the server is gone or late, or answers with something that is no chunk.
@@ -219,7 +219,7 @@ class RemotePolicy:
             raise
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Velocity | Action:
-        """The choice that one action [width] means in the task."""
+        """Return the choice that one action [width] means in the task."""
         if self._with_objects:
             rest = [] if len(row) > 2 else [0.0] * self._arm
             return Action(CONTROL, command=(*map(float, row), *rest))
@@ -228,12 +228,12 @@ class RemotePolicy:
     # --- several worlds -----------------------------------------------------------------------------------------------
     @property
     def takes_batches(self) -> bool:
-        """Returns whether the server answers for several worlds at once."""
+        """Return whether the server answers for several worlds at once."""
         return self._batched or own_facts(self.connection.metadata).get("batch") is True
 
     @staticmethod
     def act_together(policies: Sequence[RemotePolicy], views: Sequence[Any]) -> list[Velocity | Action]:
-        """Returns what `act` returns for some policies of one server, with one request for all whose chunks are used up.
+        """Return what `act` returns for some policies of one server, with one request for all whose chunks are used up.
 
         Servers that take no batches are asked one after the other.
 
@@ -255,7 +255,7 @@ class RemotePolicy:
         return [policy.act(view) for policy, view in zip(policies, views, strict=True)]
 
     def _fetch_batch(self, requests: Sequence[dict[str, Any]]) -> list[NDArray[np.float32]]:
-        """The chunks of several requests, which go out as one: along the axis of worlds, or as a list."""
+        """Return the chunks of several requests, which go out as one: along the axis of worlds, or as a list."""
         server, count = str(self.where), len(requests)
         begun = time.perf_counter()
         answer = self.connection.ask(
@@ -285,7 +285,7 @@ class RemotePolicy:
         return BackgroundPolicy(self)
 
     def recorded_info(self) -> dict[str, Any]:
-        """Returns the recorded facts about the server: its identity and its response times."""
+        """Return the recorded facts about the server: its identity and its response times."""
         metadata = {key: value for key, value in self.connection.metadata.items() if key != OWN}
         fits = len(_json(metadata)) <= MOST_METADATA
         return {
@@ -321,7 +321,7 @@ def _joined(requests: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _usual_skill(view: Any) -> str:
-    """Returns the skill of a robot of social navigation whose server does not state it."""
+    """Return the skill of a robot of social navigation whose server does not state it."""
     met = getattr(view, "met", None)
     return "" if met is None else "follow" if met else "find"
 
@@ -335,7 +335,7 @@ def _name(metadata: dict[str, Any], adapter: Adapter, where: Address) -> str:
 
 
 def _json(value: Any) -> bytes:
-    """A value as JSON; what JSON cannot hold is described in words."""
+    """Return a value as JSON; what JSON cannot hold is described in words."""
     return msgspec.json.encode(_plain(value), order="sorted")
 
 

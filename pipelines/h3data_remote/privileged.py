@@ -24,7 +24,7 @@ from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
 from sim_kinematic.tasks.episode import Episode, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
@@ -33,10 +33,10 @@ VIEWS = {view.__name__: view for view in (SocialNavView, AgentView)}
 
 
 def packed_episode(task: Task, episode: Episode) -> bytes:
-    """An episode as a recording file: scene, rules, agents and starts."""
+    """Return an episode as a recording file: scene, rules, agents and starts."""
     policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
     play = WorldRollout.of(task, episode, policies, measure=False)
-    recorder = Recorder(describe(task, episode, policies), play)
+    recorder = Recorder.of(play)
     run(play, recorder, steps=1)  # recordings have columns, so that there is a first step, in which nobody decides
     recording = recorder.finish({})
     with tempfile.TemporaryDirectory() as folder:
@@ -46,7 +46,7 @@ def packed_episode(task: Task, episode: Episode) -> bytes:
 
 
 def unpacked_episode(task: Task, packed: Any) -> Episode:
-    """The episode that `packed_episode` packed.
+    """Return the episode that `packed_episode` packed.
 
     Raises:
         PolicyServerError: it is of another task.
@@ -74,7 +74,7 @@ def _map(glb: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace
 
 
 def view_to_wire(view: NamedTuple) -> dict[str, Any]:
-    """The plain fields of a view, by name."""
+    """Return the plain fields of a view, by name."""
     fields = {name: value for name, value in view._asdict().items() if _is_plain(value)}
     return {"view": type(view).__name__, **fields}
 
@@ -86,7 +86,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
-    """The view with these plain fields; the map and the rules are those of the episode.
+    """Return the view with these plain fields; the map and the rules are those of the episode.
 
     Raises:
         PolicyServerError: it is none that this server knows.

@@ -51,7 +51,7 @@ class ObservedView:
         self._entries, self.step, self.seed = entries, step, int(entries.get("h3data/seed", 0))
 
     def observe(self, names: tuple[str, ...], size: Any = None, light: str = "flat") -> dict[str, NDArray[Any]]:
-        """The observations of these names.
+        """Return the observations of these names.
 
         Raises:
             PolicyServerError: the request lacks one.
@@ -98,7 +98,7 @@ class ServedPolicy:
     """A policy as a server plays it: what it says about itself, and fresh players of it."""
 
     def __init__(self, name: str, task: str | None = None, adapter: Adapter | None = None) -> None:
-        """Finds the policy.
+        """Find the policy.
 
         Args:
             name: Name as for ``--policy``: a planner, a trained policy, ``weights:FILE``, or ``module:name``.
@@ -129,17 +129,17 @@ class ServedPolicy:
         self.adapter = adapter
 
     def metadata(self) -> dict[str, Any]:
-        """The greeting of each connection."""
+        """Return the greeting of each connection."""
         short = self.name.rpartition("/")[2].rpartition(":")[2]
         own = {"name": short, "adapter": msgspec.to_builtins(self.adapter), "batch": True, "view": self.view}
         return {"policy": short, "task": self.task.name, OWN: own}
 
     def player(self) -> _Player:
-        """Returns the player that answers the requests of one episode."""
+        """Return the player that answers the requests of one episode."""
         return _Player(self)
 
     def fresh(self, episode: Episode | None, number: int) -> Any:
-        """The policy for an episode; without one, by named observations.
+        """Return the policy for an episode; without one, by named observations.
 
         Raises:
             InputError: it needs an episode.
@@ -164,7 +164,7 @@ class ServedPolicy:
 
 
 def adapter_of_network(network: Network | VisualPolicy) -> Adapter:
-    """Returns the adapter by which clients send data to a network: the observations and sizes that it has learned from."""
+    """Return the adapter by which clients send data to a network: the observations and sizes that it has learned from."""
     if isinstance(network, VisualPolicy):
         card = network.card
         drawn = [name for name in card.observations if name not in TABLE or name in DETECTORS]
@@ -207,7 +207,7 @@ class _Player:
 
 # --- the server -------------------------------------------------------------------------------------------------------
 def policy_service(served: ServedPolicy, host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """A server that listens; ``serve_forever()`` runs it, ``shutdown()`` ends it.
+    """Return a server that listens; ``serve_forever()`` runs it, ``shutdown()`` ends it.
 
     Each connection is a conversation of its own. Browsers are refused: pages of others could ask as well.
 
@@ -251,11 +251,11 @@ class Sessions:
         self._players: OrderedDict[str, _Player] = OrderedDict()
 
     def player(self) -> _Player:
-        """Returns the player that answers the requests of one more episode."""
+        """Return the player that answers the requests of one more episode."""
         return self._served.player()
 
     def answer(self, request: Any, nameless: _Player) -> dict[str, Any]:
-        """The answer to a request; ``nameless`` plays the episode of a connection whose client gives no names."""
+        """Return the answer to a request; ``nameless`` plays the episode of a connection whose client gives no names."""
         if not isinstance(request, dict):
             raise PolicyServerError(
                 f"Expected a map of observations, got {type(request).__name__}.", code="H3-REMOTE-051"
@@ -271,7 +271,7 @@ class Sessions:
 
 
 def _converse(connection: ServerConnection, sessions: Sessions, metadata: bytes) -> None:
-    """Answers one client until it goes, or sends what cannot be answered."""
+    """Answer one client until it goes, or send what cannot be answered."""
     connection.send(metadata)
     nameless, total_ms = sessions.player(), None
     while True:

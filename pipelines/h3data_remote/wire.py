@@ -31,7 +31,7 @@ class Codec:
     """Codec of messages."""
 
     def __init__(self, pack_array: Callable[[Any], Any], unpack_array: Callable[[dict[Any, Any]], Any]) -> None:
-        """Creates a codec.
+        """Create a codec.
 
         Args:
             pack_array: Returns the form of an array or NumPy scalar in a message; raises a `TypeError` for anything else.
@@ -41,7 +41,7 @@ class Codec:
         self._unpack_array = unpack_array
 
     def pack(self, message: Any) -> bytes:
-        """Bytes of a message of maps, lists, text, numbers and arrays.
+        """Return bytes of a message of maps, lists, text, numbers and arrays.
 
         Raises:
             PolicyServerError: it is larger than `MOST_BYTES`.
@@ -55,7 +55,7 @@ class Codec:
         return packed
 
     def unpack(self, packed: bytes) -> Any:
-        """The message in these bytes, with arrays that can be written to.
+        """Return the message in these bytes, with arrays that can be written to.
 
         Raises:
             PolicyServerError: they are no message, or an array in it is malformed.
@@ -150,7 +150,7 @@ def _unpack_groot(value: dict[Any, Any]) -> Any:
 
 
 def _array_of_npy(data: bytes) -> NDArray[Any]:
-    """The array of a .npy file; `numpy.load` would believe its header and reserve memory for the shape that it names."""
+    """Return the array of a .npy file; `numpy.load` would believe its header and reserve memory for the shape that it names."""
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     if version not in ((1, 0), (2, 0)):

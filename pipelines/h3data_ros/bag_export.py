@@ -521,7 +521,7 @@ class _Export:
         )
 
     def _describe(self, robot: _Mover) -> _Described | None:
-        """The URDF and the frames of the links of a robot; None, with a note, if there is no such robot here."""
+        """Return the URDF and the frames of the links of a robot; None, with a note, if there is no such robot here."""
         agent = self._recording.agents[robot.number]
         name = agent.model.removeprefix("robot/")
         joints = self._recording.columns.get(f"agent_{robot.number}.joint_pos")

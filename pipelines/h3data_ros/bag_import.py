@@ -116,7 +116,7 @@ class _Bag:
             yield connection.topic, t, message
 
     def last(self, topic: str) -> Any:
-        """The last message on a topic, None if there is none."""
+        """Return the last message on a topic, None if there is none."""
         message = None
         for _, _, message in self.messages([topic]):  # noqa: B007 - the last is wanted
             pass
@@ -197,7 +197,7 @@ class _Log:
 
     @classmethod
     def of(cls, bag: _Bag, people: str, joints: Sequence[str]) -> _Log:
-        """Reads transforms, odometry, poses, and the topics of people and joints."""
+        """Read transforms, odometry, poses, and the topics of people and joints."""
         log = cls(tree=TransformTree())
         moving = bag.topics(TF)
         others = bag.topics(ODOMETRY, *POSES)
@@ -290,7 +290,7 @@ def _people_topic(bag: _Bag, asked: str) -> str:
 
 
 def _robot_frame(log: _Log, asked: str, bag: _Bag) -> tuple[str, str]:
-    """The frame of reference and the frame of the robot."""
+    """Return the frame of reference and the frame of the robot."""
     if asked in log.odometry:
         frame = log.odometry[asked][1]
     elif asked:
@@ -409,7 +409,7 @@ def _scene(bag: _Bag, tracks: ImportRequest, told: Import) -> Scene | None:
 
 # --- our own bags -----------------------------------------------------------------------------------------------------
 def _read_own(bag: _Bag) -> Recording:
-    """The recording that the bag was made of: poses from /tf, everything else from our own topics."""
+    """Return the recording that the bag was made of: poses from /tf, everything else from our own topics."""
     document = bag.last(EPISODE_TOPIC)
     if document is None:
         raise FormatError(f"There is no message on {EPISODE_TOPIC}: {bag.path}", code="H3-ROS-037")

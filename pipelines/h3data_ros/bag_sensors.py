@@ -18,7 +18,7 @@ from h3data_ros.transforms import TransformTree
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 JOINTS = "sensor_msgs/msg/JointState"
 RAYS = 360
-"""Rays of an imported scan, one each degree around the robot's frame."""
+"""Number of rays of an imported scan, one each degree around the robot's frame."""
 BAND_M = (0.1, 1.8)
 """Heights of the points of a cloud that count as obstacles, in the robot's frame [m]."""
 RANGE_MAX_M = 1000.0
@@ -130,7 +130,7 @@ class _Empty:
 
 
 def _points_of(message: Any) -> tuple[NDArray[np.float64], _Empty]:
-    """Points [N, 3] of a scan or a cloud in its own frame [m], and the rays that met nothing."""
+    """Return points [N, 3] of a scan or a cloud in its own frame [m], and the rays that met nothing."""
     if hasattr(message, "ranges"):
         known = np.isfinite([message.angle_min, message.angle_increment]).all()
         ranges = np.asarray(message.ranges if known else (), np.float64)
@@ -145,7 +145,7 @@ def _points_of(message: Any) -> tuple[NDArray[np.float64], _Empty]:
 
 
 def _coordinates(cloud: Any) -> NDArray[np.float64]:
-    """Points [N, 3] of a cloud; none of one whose layout is not known or does not fit its data."""
+    """Return points [N, 3] of a cloud; none of one whose layout is not known or does not fit its data."""
     fields: Mapping[str, Any] = {one.name: one for one in cloud.fields}
     step, width, height, row = (int(n) for n in (cloud.point_step, cloud.width, cloud.height, cloud.row_step))
     data = np.asarray(cloud.data, np.uint8)
@@ -163,7 +163,7 @@ def _coordinates(cloud: Any) -> NDArray[np.float64]:
 def _around(
     points: NDArray[np.float64], empty: _Empty, place: NDArray[np.float64], *, flat: bool
 ) -> NDArray[np.float32] | None:
-    """Distances [RAYS] around the robot's frame, in which the scanner has the pose ``place``; None without a pose."""
+    """Return distances [RAYS] around the robot's frame, in which the scanner has the pose ``place``; None without a pose."""
     if not np.isfinite(place).all():
         return None
     found = np.full(RAYS, np.nan, np.float32)
@@ -178,5 +178,5 @@ def _around(
 
 
 def _degrees(vectors: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The ray [N] of each vector [N, 3]: whole degrees to the left of straight ahead."""
+    """Return the ray [N] of each vector [N, 3]: whole degrees to the left of straight ahead."""
     return np.round(np.degrees(np.arctan2(vectors[:, 1], vectors[:, 0]))).astype(np.intp) % RAYS

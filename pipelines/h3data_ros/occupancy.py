@@ -167,7 +167,7 @@ def _rectangles(mask: NDArray[np.bool_], grid: OccupancyMap) -> NDArray[np.float
 
 
 def _boxes(rectangles: NDArray[np.float64], low: float, high: float, color: tuple[int, int, int]) -> Mesh:
-    """Boxes on rectangles [R, 4] between two heights, as one mesh."""
+    """Return boxes on rectangles [R, 4] between two heights, as one mesh."""
     x0, z0, x1, z1 = rectangles.T
     corners = [(x, np.full(len(x0), y), z) for y in (low, high) for x, z in ((x0, z0), (x1, z0), (x1, z1), (x0, z1))]
     vertices = np.stack([np.stack(corner, axis=1) for corner in corners], axis=1).reshape(-1, 3)
@@ -182,7 +182,7 @@ def _boxes(rectangles: NDArray[np.float64], low: float, high: float, color: tupl
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    """Keys with texts, or lists of texts: all that a map_server file has."""
+    """Return keys with texts, or lists of texts: all that a map_server file has."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as fault:

@@ -82,7 +82,7 @@ def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recor
 
 
 def _seconds(table: TrackTable, tracks: ImportRequest, path: Path) -> np.ndarray:
-    """Times of the observations [N] [s]."""
+    """Return times of the observations [N] [s]."""
     if tracks.rate is not None and not 1e-3 <= tracks.rate <= 1e10:
         raise InputError(f"--rate is a number of frames per second, got {tracks.rate:g}.", code="H3-ROS-054")
     if table.frames and tracks.rate is None:

@@ -34,7 +34,7 @@ PLACE_MAX_M = 1e8
 FAR_M = 1000.0
 """World coordinates are float32: origins farther away are moved by whole metres."""
 CELLS_MAX = 20_000_000
-"""Rows times people of one recording."""
+"""Number of rows times people of one recording."""
 HEADING_S, HEADING_M = 0.5, 0.1
 """Headings are directions of motion over this time, where it leads so far [m]; else the one before holds."""
 FOOTPRINT_M, HEIGHT_M = 0.25, 0.5
@@ -299,7 +299,7 @@ def record_tracks(
 
 
 def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_], bool]:
-    """The poses [T, 7] and which are observed [T], and whether the headings are those of motion."""
+    """Return the poses [T, 7] and which are observed [T], and whether the headings are those of motion."""
     poses, made_up = track.poses, False
     if not np.isfinite(poses[:, 3:]).all():
         poses = ground_pose(poses[:, [0, 2]], headings_of_motion(track.time_ns, poses[:, [0, 2]]), 0.0).astype(

@@ -113,7 +113,7 @@ def _chosen(
     delimiter: str | None,
     path: object,
 ) -> tuple[dict[str, int], str, str]:
-    """Index of the column of each meaning, the kind of the file and its unit."""
+    """Return the index of the column of each meaning, the kind of the file and its unit."""
     if columns and all("=" in column for column in columns):
         wanted = dict(column.split("=", 1) for column in columns)
         unknown = [name for name in wanted if name not in NAMES]
@@ -190,7 +190,7 @@ def _numbers(texts: Sequence[str], name: str, path: object) -> Array:
 
 
 def _id(text: str) -> str:
-    """The text of an id; 7.0000e+00 is 7."""
+    """Return the text of an id; 7.0000e+00 is 7."""
     text = text.strip().strip("\"'")
     if _NUMBER.fullmatch(text) and float(text).is_integer():
         return str(int(float(text)))

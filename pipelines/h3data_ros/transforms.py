@@ -21,7 +21,7 @@ class _Edge:
     arrays: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
 
     def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Times [N], all different, and poses [N, 7]."""
+        """Return times [N], all different, and poses [N, 7]."""
         if self.arrays is None:
             # stamps may come twice and out of order, as several nodes may send one transform
             times, first = np.unique(np.array(self.times, np.int64), return_index=True)
@@ -85,7 +85,7 @@ class TransformTree:
         return np.asarray(back if up is None else pose_multiply(back, up), np.float64)
 
     def _chain(self, frame: str) -> list[str]:
-        """The frame and those that it hangs in, the root last."""
+        """Return the frame and those that it hangs in, the root last."""
         chain = [frame]
         # a broken bag may have a circle of frames
         while chain[-1] in self._edges and self._edges[chain[-1]].parent not in chain:

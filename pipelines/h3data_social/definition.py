@@ -27,7 +27,7 @@ def define_metric(
     binary: bool = False,
     version: int = 1,
 ) -> Metric:
-    """Returns a metric that is 0 or more, up to 1 if it is ``binary``.
+    """Return a metric that is 0 or more, up to 1 if it is ``binary``.
 
     ``notation`` is put before the reading of a metric that reads the poses of people.
     """

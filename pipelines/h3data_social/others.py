@@ -7,7 +7,7 @@ from h3data.recording.records import Recording
 
 
 def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
-    """Returns the agent that is measured, and all agents that it is measured near: the first robot, and every person.
+    """Return the agent that is measured, and all agents that it is measured near: the first robot, and every person.
 
     Without a robot and a person: the first agent, and all others. An `UnmeasurableError` says that there are fewer than two.
     """
@@ -18,7 +18,7 @@ def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
 
 
 def find_pair(recording: Recording) -> tuple[int, int]:
-    """Returns the indices of two agents: the first robot and the first human, else the first two of any kind.
+    """Return the indices of two agents: the first robot and the first human, else the first two of any kind.
 
     The first of them is measured, near the second. An `UnmeasurableError` says that there are fewer than two.
     """

@@ -34,7 +34,7 @@ def state_of(learner: Learner) -> dict[str, Any]:
 
 
 def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
-    """Puts a learner where the one of `state_of` was.
+    """Put a learner where the one of `state_of` was.
 
     Raises:
         FormatError: the checkpoint does not fit.
@@ -64,12 +64,12 @@ class PlainSettings(RunLength, Protocol):
     """Settings of a run, whose class has defaults for all of them."""
 
     def as_dict(self) -> dict[str, Any]:
-        """All settings by name, as plain values."""
+        """Return all settings by name, as plain values."""
         ...
 
 
 def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
-    """The checkpoint in a file, as `read` reads it; None where there is no file.
+    """Return the checkpoint in a file, as `read` reads it; None where there is no file.
 
     Raises:
         FormatError, InputError: as `read`, or the run is over.
@@ -87,7 +87,7 @@ def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str
 
 
 def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any]:
-    """A checkpoint of the same settings and seed; ``form`` is what its file says that it is.
+    """Return a checkpoint of the same settings and seed; ``form`` is what its file says that it is.
 
     Raises:
         FormatError: it is none, or damaged.

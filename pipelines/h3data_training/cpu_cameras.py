@@ -20,7 +20,7 @@ from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 
 
 def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, Tensor]:
-    """Pictures of worlds that are posed one after the other, by output, [W, H, W', ...] each."""
+    """Return pictures of worlds that are posed one after the other, by output, [W, H, W', ...] each."""
     taken = [sensor.observe(drawn) for drawn in worlds]
     return {name: torch.as_tensor(np.concatenate([pictures[name] for pictures in taken])) for name in sensor.outputs}
 
@@ -59,7 +59,7 @@ class CpuCameras:
         self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Renders all worlds, as `h3data_training.torch.cameras.TensorCameras.picture` on the CPU."""
+        """Render all worlds, as `h3data_training.torch.cameras.TensorCameras.picture` on the CPU."""
         sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
         light: LightMode = self._light if "rgb" in outputs else "flat"
         return stacked(sensor, (self._posed(w, home, light) for w, home in enumerate(self._homes.tolist())))

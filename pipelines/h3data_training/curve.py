@@ -18,13 +18,13 @@ Row = dict[str, float]
 
 
 def save_curve(curve: list[Row], folder: Path) -> None:
-    """Writes the table, whole or not at all."""
+    """Write the table, whole or not at all."""
     with part_file(folder / CURVE) as part:
         pq.write_table(pa.Table.from_pylist(curve), part)
 
 
 def curve_of(folder: Path) -> list[Row]:
-    """The learning curve of a run.
+    """Return the learning curve of a run.
 
     Raises:
         InputError: there is none.
@@ -51,7 +51,7 @@ class EventLog:
         self._writer = SummaryWriter(str(folder / EVENTS), purge_step=last + 1)
 
     def write(self, curve: list[Row]) -> None:
-        """Writes the rows that are new since the last call."""
+        """Write the rows that are new since the last call."""
         if self._writer is None:
             return
         for row in curve[self._rows :]:

@@ -27,7 +27,7 @@ Bank = TypeVar("Bank")
 
 
 def rules(settings: Settings) -> SocialNavSpec:
-    """The paper's rules for training, with the set of rules that the settings name.
+    """Return the paper's rules for training, with the set of rules that the settings name.
 
     Raises:
         InputError: there is no such walk.
@@ -38,7 +38,7 @@ def rules(settings: Settings) -> SocialNavSpec:
 
 
 def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> EpisodeBank:
-    """The episodes of a run, as many in each home. Call it before CUDA begins: the processes are forked.
+    """Return the episodes of a run, as many in each home. Call it before CUDA begins: the processes are forked.
 
     Args:
         settings: Homes, bodies and rules.
@@ -86,7 +86,7 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
 
 
 def listed_scenes(text: str) -> tuple[NamedScene, ...]:
-    """The scenes of several names separated by commas, as in ``h3-homes/train,h3-homes-v2/train``, in that order.
+    """Return the scenes of several names separated by commas, as in ``h3-homes/train,h3-homes-v2/train``, in that order.
 
     Raises:
         InputError, FormatError: as `named_scenes`; or two names mean the same scene.

@@ -31,7 +31,7 @@ class ActionRepeat:
     """Observations of the last call of `_eager`."""
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Moves all worlds by an action [W, A]; returns what `Worlds.repeat_action` returns, in tensors of its own."""
+        """Move all worlds by an action [W, A]; return what `Worlds.repeat_action` returns, in tensors of its own."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
@@ -50,7 +50,7 @@ class ActionRepeat:
         raise NotImplementedError
 
     def _result(self) -> dict[str, Tensor]:
-        """Observations of the last step, in tensors of their own."""
+        """Return observations of the last step, in tensors of their own."""
         return {name: tensor.clone() for name, tensor in self._shown.items()}
 
     def _make_totals(self, worlds: int, device: torch.device) -> None:
@@ -95,7 +95,7 @@ class ActionRepeat:
         return None
 
     def _counted(self, before: Any, live: Tensor, ends: Tensor) -> list[Tensor]:
-        """Sums over the worlds that are ``live`` [W] in a step, in the order of `counts` after the first, the reward.
+        """Return sums over the worlds that are ``live`` [W] in a step, in the order of `counts` after the first, the reward.
 
         ``ends`` are the worlds whose episode has just ended.
         """

@@ -23,7 +23,7 @@ class StopRequest(Protocol):
     """Request to stop a run; `threading.Event` is one."""
 
     def is_set(self) -> bool:
-        """Returns whether the run should stop."""
+        """Return whether the run should stop."""
         ...
 
 
@@ -32,7 +32,7 @@ Work = Callable[[Any, StopRequest, Callable[[str], None]], Any]
 
 
 def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callable[[str], None]) -> Any:
-    """Runs ``work`` in ``count`` new processes, with the variables that torchrun would set; returns what the first one returns.
+    """Run ``work`` in ``count`` new processes, with the variables that torchrun would set; return what the first one returns.
 
     ``given`` is left in a file for them, since it may be large. When a process fails, the others, which would wait for it
     forever, are ended.
@@ -76,7 +76,7 @@ def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callab
 
 
 def _result(processes: list[Any], pipes: list[Any], asked: Event, stop: StopRequest, say: Callable[[str], None]) -> Any:
-    """Returns the result of the first process, and passes on the lines of all."""
+    """Return the result of the first process, and passes on the lines of all."""
     result, still = None, dict(enumerate(pipes))
     while still:
         if stop.is_set():

@@ -42,12 +42,12 @@ def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor
 
 
 def critic_length(settings: Settings) -> int:
-    """Number of inputs of the critic: its observations, and whether the episode is over."""
+    """Return the number of inputs of the critic: its observations, and whether the episode is over."""
     return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
 def picture(seen: Tensor) -> Tensor:
-    """Moves squares of 4 x 4 pixels into channels: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4].
+    """Move squares of 4 x 4 pixels into channels: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4].
 
     Depth is rescaled so that near distances have more detail. The result has half precision, in which the depth of
     rollouts of 4,096 worlds takes 0.8 GB.
@@ -76,7 +76,7 @@ def picture_features(weights: Mapping[str, Tensor], pixels: Tensor) -> Tensor:
 
 
 def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Tensor]:
-    """Weights by name, as in `sim_kinematic.policies.visual_policy.picture_shapes`."""
+    """Return weights by name, as in `sim_kinematic.policies.visual_policy.picture_shapes`."""
     named = {"picture.weight": last.weight, "picture.bias": last.bias}
     for k, convolution in enumerate(convolutions):
         named |= {f"conv_{k}.weight": convolution.weight, f"conv_{k}.bias": convolution.bias}
@@ -107,7 +107,7 @@ class ActorCritic(nn.Module):
             last.bias.copy_(torch.tensor(s.first_action))
 
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
-        """Makes the layers of the actor and returns the last one."""
+        """Make the layers of the actor and return the last one."""
         if self.sees:
             self.convolutions, self.picture = picture_layers(self.sees, s.picture_size, s.channels, s.features)
         self.gru = nn.GRU((s.features if self.sees else 0) + numbers, s.hidden)
@@ -123,7 +123,7 @@ class ActorCritic(nn.Module):
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """A picture [n, H, W, planes] as it is kept in rollouts."""
+        """Return a picture [n, H, W, planes] as it is kept in rollouts."""
         return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
@@ -168,7 +168,7 @@ class ActorCritic(nn.Module):
         return out.flatten(0, 1).index_select(0, at).view(steps, batch, -1)
 
     def take(self, arrays: Mapping[str, Any]) -> None:
-        """Replaces the actor by that of `arrays`.
+        """Replace the actor by that of `arrays`.
 
         Raises:
             InputError: it has other layers.
@@ -187,7 +187,7 @@ class ActorCritic(nn.Module):
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.visual_policy.VisualPolicy` names its arrays, float32."""
+        """Return the actor as `sim_kinematic.policies.visual_policy.VisualPolicy` names its arrays, float32."""
         return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in self._named().items()}
 
     def _named(self) -> dict[str, Any]:
@@ -224,11 +224,11 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Pictures in the form that the network takes."""
+        """Return pictures in the form that the network takes."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """Features [n, F] of pixels and numbers."""
+        """Return features [n, F] of pixels and numbers."""
         return self.actor.features(pixels, numbers)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -236,7 +236,7 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.remember(x, state)
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
-        """Mean of the action, from the output of the recurrent layers."""
+        """Return the mean of the action, from the output of the recurrent layers."""
         return self.actor.act(known)
 
     def _named(self) -> dict[str, Any]:

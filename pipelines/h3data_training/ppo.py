@@ -47,11 +47,11 @@ class Worlds(Protocol):
         ...
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Begins episodes in all worlds; returns the actor's observations and those of the critic."""
+        """Begin episodes in all worlds; return the actor's observations and those of the critic."""
         ...
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Moves all worlds by an action [W, A].
+        """Move all worlds by an action [W, A].
 
         Returns:
             Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
@@ -60,7 +60,7 @@ class Worlds(Protocol):
         ...
 
     def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Does `repeat_action` operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
+        """Do `repeat_action` operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
         ...
 
     def taught(self) -> Tensor:
@@ -68,7 +68,7 @@ class Worlds(Protocol):
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that follow from the totals by name."""
         ...
 
 
@@ -188,7 +188,7 @@ class Learner:
 
     @torch.no_grad()
     def _collect(self, plan: Schedule) -> dict[str, Tensor]:
-        """Fills the buffers with one rollout; returns the inputs of the decision after it."""
+        """Fill the buffers with one rollout; return the inputs of the decision after it."""
         s = self.settings
         self._row.zero_()
         self._over.copy_(self.memory.over)

@@ -26,7 +26,7 @@ class Ranks:
 
     @property
     def is_first(self) -> bool:
-        """Returns whether this process writes the files and speaks."""
+        """Return whether this process writes the files and speaks."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
@@ -37,11 +37,11 @@ class Ranks:
         return tensor
 
     def mean(self, tensor: Tensor) -> Tensor:
-        """The mean over all processes."""
+        """Return the mean over all processes."""
         return self.sum(tensor) / self.count if self.count > 1 else tensor
 
     def variance(self, tensor: Tensor) -> Tensor:
-        """The variance of all elements in all processes, each of which holds as many."""
+        """Return the variance of all elements in all processes, each of which holds as many."""
         if self.count == 1:
             return tensor.var()
         number = tensor.numel() * self.count
@@ -49,14 +49,14 @@ class Ranks:
         return self.sum((tensor - middle).square().sum()) / (number - 1)
 
     def first(self, tensor: Tensor) -> Tensor:
-        """Returns the value that the first process holds."""
+        """Return the value that the first process holds."""
         if self.count > 1:
             tensor = tensor.contiguous().clone()
             dist.broadcast(tensor, 0)
         return tensor
 
     def gathered(self, tensor: Tensor) -> Tensor:
-        """The rows of all processes, one after the other."""
+        """Return the rows of all processes, one after the other."""
         if self.count == 1:
             return tensor
         rows = tensor.to(torch.uint8) if tensor.dtype == torch.bool else tensor
@@ -69,7 +69,7 @@ class Ranks:
         return tensor.chunk(self.count)[self.rank] if self.count > 1 else tensor
 
     def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
-        """Replaces gradients by their means over all processes: one all-reduce of a single flat tensor."""
+        """Replace gradients by their means over all processes: one all-reduce of a single flat tensor."""
         if self.count == 1:
             return
         given = [p.grad for p in parameters if p.grad is not None]
@@ -113,7 +113,7 @@ def own_place(device: str) -> tuple[Ranks, str]:
 
 
 def connect(ranks: Ranks, device: torch.device) -> None:
-    """Waits for the other processes. Call it after CUDA graphs have been captured, which NCCL's threads would disturb."""
+    """Wait for the other processes. Call it after CUDA graphs have been captured, which NCCL's threads would disturb."""
     if ranks.count == 1:
         return
     if device.type == "cuda":
@@ -125,6 +125,6 @@ def connect(ranks: Ranks, device: torch.device) -> None:
 
 
 def leave() -> None:
-    """Leaves the other processes."""
+    """Leave the other processes."""
     if dist.is_initialized():
         dist.destroy_process_group()

@@ -56,7 +56,7 @@ def train(
     bank: Bank | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
+    """Train until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and save.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
     updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
@@ -112,7 +112,7 @@ def train(
 
 
 def require_light(settings: Settings, device: str) -> None:
-    """Checks that pictures can be rendered in the light of the settings.
+    """Check that pictures can be rendered in the light of the settings.
 
     Raises:
         InputError: the device does not support this light.
@@ -143,7 +143,7 @@ class _Job:
     """By the clock on the wall, which all processes see [s]."""
 
     def load_checkpoint(self) -> dict[str, Any] | None:
-        """The checkpoint to go on from."""
+        """Return the checkpoint to go on from."""
         return checkpoints.load_checkpoint(self.folder / CHECKPOINT, self.settings, self.seed) if self.resume else None
 
     def episodes(self, say: Say) -> Bank:
@@ -159,7 +159,7 @@ class _Job:
 
 
 def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
-    """The work of one process."""
+    """Return the work of one process."""
     ranks, device = own_place(job.device)
     if not ranks.is_first:
         say = _silent
@@ -180,7 +180,7 @@ def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
 ) -> ActionRepeatEnv | ActionRepeatSkills:
-    """The worlds that settings ask for, in the episodes of a bank."""
+    """Return the worlds that settings ask for, in the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
         return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)
@@ -189,7 +189,7 @@ def worlds_of(
 
 
 def _silent(line: str) -> None:
-    """Says nothing: the first process speaks for all."""
+    """Say nothing: the first process speaks for all."""
 
 
 class _Run:
@@ -281,7 +281,7 @@ class _Run:
         )
 
     def _agreed(self, *values: float) -> list[float]:
-        """The values that the first process has: clocks differ, and all processes have to do the same."""
+        """Return the values that the first process has: clocks differ, and all processes have to do the same."""
         where = self.learner.memory.state.device
         return self.ranks.first(torch.tensor(values, dtype=torch.float64, device=where)).tolist()
 
@@ -324,7 +324,7 @@ class _Run:
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
     def policy(self) -> VisualPolicy:
-        """The policy that has been learned so far."""
+        """Return the policy that has been learned so far."""
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
@@ -364,7 +364,7 @@ TOLD = ("reward", "follows", "collided", "met", "succeeded", "failed")
 
 
 def figures_of(row: dict[str, float]) -> str:
-    """Episodes of an update, as a row of the learning curve has them, in words."""
+    """Return episodes of an update, as a row of the learning curve has them, in words."""
     if "follows" in row:
         return f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}"
     if row.get("ended") == 0:
@@ -373,5 +373,5 @@ def figures_of(row: dict[str, float]) -> str:
 
 
 def describe(settings: Settings) -> str:
-    """The settings for people, as JSON in lines."""
+    """Return the settings for people, as JSON in lines."""
     return json.dumps(settings.as_dict(), indent=1)

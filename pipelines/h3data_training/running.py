@@ -49,7 +49,7 @@ class RunResult:
     """Last row of the learning curve."""
 
     def as_data(self) -> dict[str, object]:
-        """The result as JSON data, as ``--json`` prints it."""
+        """Return the result as JSON data, as ``--json`` prints it."""
         return {
             "policy": str(self.folder / "policy.npz"),
             "done": self.done,

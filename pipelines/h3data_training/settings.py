@@ -39,7 +39,7 @@ class Settings:
     following, and little is finding. 0: never."""
     worlds: int = 4096
     rollout: int = 32
-    """Decisions per world between two updates."""
+    """Number of decisions per world between two updates."""
     hold: int = 3
     """Steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches farther. Holding for 3
     costs a follower trained for 1 most of its distance keeping at the paper's 2.5 m/s, less at a walking speed."""
@@ -48,7 +48,7 @@ class Settings:
     """``cnn_gru``: three convolutions and a GRU. ``resnet18_lstm``: the paper's, with ``channels[0]`` planes at first."""
     channels: tuple[int, int, int] = (32, 64, 64)
     features: int = 256
-    """Numbers that are left of a picture."""
+    """Number of numbers that are left of a picture."""
     hidden: int = 256
     """Size of the recurrent state."""
     act_width: int = 256
@@ -63,7 +63,7 @@ class Settings:
     """Share of the learning rate that is left at the end."""
     warmup_updates: int = 15
     critic_updates: int = 0
-    """Updates in which only the critic learns: it is new where the actor comes from a file."""
+    """Number of updates in which only the critic learns: it is new where the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
     """Standard deviation of the exploration noise at the start."""
@@ -248,7 +248,7 @@ minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions
 
 
 def recipe(name: str, **changes: Any) -> Settings:
-    """A recipe with some settings changed; None changes nothing.
+    """Return a recipe with some settings changed; None changes nothing.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.

@@ -96,7 +96,7 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         ]
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

@@ -27,7 +27,7 @@ _SHOWN_CHARACTERS = 2000
 
 
 def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene, Sequence[str] | None]]) -> Scene:
-    """The scene of a file: from the cache, else by ``read``, which then also gives the files on which it depends.
+    """Return the scene of a file: from the cache, else by ``read``, which then also gives the files on which it depends.
 
     The licence beside the file is printed when it is converted, and is ``licence`` in `Scene.source`.
 
@@ -56,7 +56,7 @@ def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene
 
 
 def licence_beside(path: Path) -> str:
-    """The beginning of the licence in the folder of a file; empty if there is none."""
+    """Return the beginning of the licence in the folder of a file; empty if there is none."""
     with suppress(OSError):
         for file in sorted(path.resolve().parent.iterdir()):
             if file.name.lower().split(".")[0] in _LICENCES and file.is_file() and file.stat().st_size < 1e6:

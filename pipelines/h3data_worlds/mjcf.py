@@ -62,7 +62,7 @@ _DRAWN_GROUPS = 3
 
 
 def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
-    """Reads the robot of an MJCF file.
+    """Read the robot of an MJCF file.
 
     Args:
         path: The file.
@@ -100,7 +100,7 @@ def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
 
 
 def licence_of(path: Path) -> str:
-    """First line and path of the licence in the folder of a model; empty if there is none."""
+    """Return the first line and path of the licence in the folder of a model; empty if there is none."""
     for name in ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md", "COPYING"):
         file = path.parent / name
         if file.is_file():
@@ -112,7 +112,7 @@ def licence_of(path: Path) -> str:
 
 # --- the files of a model ---------------------------------------------------------------------------------------------
 def mjcf_files(path: Path) -> list[Path]:
-    """Returns the model, what it includes, and the meshes and pictures that these name, each once.
+    """Return the model, what it includes, and the meshes and pictures that these name, each once.
 
     Raises:
         InputError: There is no such file.
@@ -373,7 +373,7 @@ class _Reader:
         )  # fmt: skip
 
     def _led(self, joints: list[UrdfJoint]) -> tuple[UrdfJoint, ...]:
-        """The joints, with linear couplings as mimics."""
+        """Return the joints, with linear couplings as mimics."""
         m, mimics, kept = self.m, {}, 0
         numbers = {joint.name: joint for joint in joints if joint.kind in ("revolute", "continuous", "prismatic")}
         for e in range(m.neq):
@@ -397,7 +397,7 @@ class _Reader:
         return tuple(replace(joint, mimic=mimics.get(joint.name)) for joint in joints)
 
     def _rest(self) -> dict[str, float]:
-        """Positions of joints in the keyframe ``home``, else at their references."""
+        """Return positions of joints in the keyframe ``home``, else at their references."""
         m = self.m
         home = [k for k in range(m.nkey) if m.key(k).name == "home"]
         posture = m.key_qpos[home[0]] if home else m.qpos0
@@ -474,7 +474,7 @@ class _Reader:
 
     # --- meshes -----------------------------------------------------------------------------------------------------------
     def _thinned(self, bodies: list[int], files: list[Path]) -> dict[int, Mesh]:
-        """The meshes of the geoms of bodies by number, thinned together; read from the cache if they are there."""
+        """Return the meshes of the geoms of bodies by number, thinned together; read from the cache if they are there."""
         m = self.m
         used = Counter(int(m.geom_dataid[g]) for b in bodies for g in self._geoms(b) if self._kind(g) == "mesh")
         numbers = sorted(k for k in used if k >= 0)

@@ -145,7 +145,7 @@ def read_house(file: SceneFile) -> Scene:
 
 
 def _doubts(house: _House) -> list[str]:
-    """Parts of a house that are not read as they are meant, in words."""
+    """Return parts of a house that are not read as they are meant, in words."""
     schema = house.metadata.get("schema", SCHEMA) if isinstance(house.metadata, dict) else SCHEMA
     doubts = [] if schema == SCHEMA else [f"its schema is {str(schema)[:20]!r} and read as {SCHEMA}"]
     walls = {wall.id for wall in house.walls if len(wall.polygon) >= 3}
@@ -172,7 +172,7 @@ def _decoded(path: Path, kind: Any) -> Any:
 
 
 def _is_house(path: Path) -> bool:
-    """Returns whether a JSON file has the tables of a house."""
+    """Return whether a JSON file has the tables of a house."""
     try:
         if path.stat().st_size > BYTES_MAX:
             return False
@@ -216,7 +216,7 @@ def _all_things(things: Sequence[_Thing]) -> Iterator[_Thing]:
 
 
 def _plan(points: Sequence[_Point]) -> NDArray[np.float64]:
-    """The (x, z) of points in our frame [N, 2]."""
+    """Return the (x, z) of points in our frame [N, 2]."""
     found = np.array([(p.x, -p.z) for p in points], np.float64).reshape(-1, 2)
     if not (np.abs(found) < PLACE_MAX_M).all():
         raise FormatError(f"Expected coordinates of a house in metres, got {found[0].tolist()}.", code="H3-WORLD-024")
@@ -243,7 +243,7 @@ def _rectangles(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _is_inside(polygon: NDArray[np.float64], x: float, z: float) -> bool:
-    """Returns whether a ray from a point crosses the outline an odd number of times."""
+    """Return whether a ray from a point crosses the outline an odd number of times."""
     ahead = np.roll(polygon, -1, axis=0)
     crosses = (polygon[:, 1] > z) != (ahead[:, 1] > z)
     one, other = polygon[crosses], ahead[crosses]
@@ -286,7 +286,7 @@ def _building(house: _House, rooms: Sequence[Room]) -> tuple[dict[str, Asset], l
 
 
 def _ends(wall: _WallRecord) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-    """The two ends (x, z) of a wall, in the order of its lower corners, and its lower and upper height [m]."""
+    """Return the two ends (x, z) of a wall, in the order of its lower corners, and its lower and upper height [m]."""
     heights = np.array([point.y for point in wall.polygon])
     if not (np.abs(heights) < PLACE_MAX_M).all():
         raise FormatError(
@@ -320,7 +320,7 @@ def _pieces(
     high: float,
     holes: Sequence[_Hole],
 ) -> list[tuple[float, float, float, float]]:
-    """Parts of a wall that its holes leave: beginning and end along it, lower and upper height [m].
+    """Return parts of a wall that its holes leave: beginning and end along it, lower and upper height [m].
 
     A room's wall and that of the next room lie in one plane, so that a hole is cut into every wall that it lies in.
     """
@@ -360,7 +360,7 @@ def _mesh_of(boxes: Sequence[Box], color: Sequence[int]) -> Mesh:
 
 
 def _pose(thing: _Thing) -> NDArray[np.float64]:
-    """Pose of the middle of an object. Unity turns about z, then x, then y, by left-handed angles in degrees."""
+    """Return the pose of the middle of an object. Unity turns about z, then x, then y, by left-handed angles in degrees."""
     values = [getattr(vector, axis) for vector in (thing.position, thing.rotation) for axis in "xyz"]
     if not (np.abs(values) < PLACE_MAX_M).all():
         raise FormatError(f"Expected a place of {thing.id!r} in metres and degrees, got {values}.", code="H3-WORLD-026")

@@ -97,14 +97,14 @@ def guess_settings(robot: Robot, sure: Collection[str], *, fold: bool = True) ->
 
 # --- base -------------------------------------------------------------------------------------------------------------
 def _base_height(robot: Robot, joints: Array, sure: Sequence[int]) -> float:
-    """Returns the height of the base frame above the lowest point of some links [m]; 0 if none is below it."""
+    """Return the height of the base frame above the lowest point of some links [m]; 0 if none is below it."""
     frames = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     lowest = [_points(robot, k, frames)[:, 1].min() for k in sure if robot.links[k].shapes]
     return max(-min(lowest, default=0.0), 0.0)
 
 
 def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) -> tuple[list[float], float]:
-    """Returns places along x and the radius [m] of a row of discs that covers the base: all low parts of the body [D]."""
+    """Return places along x and the radius [m] of a row of discs that covers the base: all low parts of the body [D]."""
     frames = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     parts = [_points(robot, k, frames) for k in body if robot.links[k].shapes]
     low = [part[:, [0, 2]] for part in parts if part[:, 1].min() + height < BASE_TOP_M]
@@ -129,7 +129,7 @@ def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) 
 
 
 def _wide_enough(robot: Robot, places: Sequence[float], radius: float, resting: Array) -> float:
-    """The radius [m] with which discs at places [D] cover the whole resting robot, arm and all, up to `WIDEST_M`."""
+    """Return the radius [m] with which discs at places [D] cover the whole resting robot, arm and all, up to `WIDEST_M`."""
     shown = [k for k, link in enumerate(robot.links) if link.shapes]
     if not shown or radius >= WIDEST_M:
         return radius
@@ -140,7 +140,7 @@ def _wide_enough(robot: Robot, places: Sequence[float], radius: float, resting: 
 
 # --- hand -------------------------------------------------------------------------------------------------------------
 def guess_hand(robot: Robot) -> Hand | None:
-    """Returns the hand at the end of the longest chain of joints; None if there is none.
+    """Return the hand at the end of the longest chain of joints; None if there is none.
 
     Links that are named like a hand come first, then any link after at least `LEAST_ARM_JOINTS` joints.
     """
@@ -161,7 +161,7 @@ def guess_hand(robot: Robot) -> Hand | None:
 
 
 def _grasp(robot: Robot, link: int, chains: list[list[int]]) -> Hand:
-    """Returns where a hand holds things (between its fingers, else at the far end of its shapes) and its direction."""
+    """Return where a hand holds things (between its fingers, else at the far end of its shapes) and its direction."""
     frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
     to_hand = np.linalg.inv(frames[link])
     fingers = [
@@ -194,7 +194,7 @@ def _grasp(robot: Robot, link: int, chains: list[list[int]]) -> Hand:
 
 
 def _snapped(direction: Array) -> Array:
-    """A unit vector; an axis if it is nearly one."""
+    """Return a unit vector; an axis if it is nearly one."""
     unit = normalized(np.asarray(direction, np.float64))
     axis = int(np.abs(unit).argmax())
     return np.sign(unit[axis]) * np.eye(3)[axis] if abs(unit[axis]) > SNAP else unit
@@ -202,7 +202,7 @@ def _snapped(direction: Array) -> Array:
 
 # --- cameras ----------------------------------------------------------------------------------------------------------
 def _cameras(robot: Robot, hand: Hand | None, frames: Array, resting: Array) -> list[CameraSettings]:
-    """One on the hand, and one where the robot's own camera is: an optical frame, else a camera, else its head."""
+    """Return one on the hand, and one where the robot's own camera is: an optical frame, else a camera, else its head."""
     cameras = []
     if hand is not None:
         eye, view = _over_the_hand(robot, hand)
@@ -253,7 +253,7 @@ def _over_the_hand(robot: Robot, hand: Hand) -> tuple[Array, Array]:
 
 
 def _level(frame: Array) -> tuple[Array, Array]:
-    """The robot's forward and upward directions in the frame of a link."""
+    """Return the robot's forward and upward directions in the frame of a link."""
     return frame[:3, :3].T @ np.array([1.0, 0, 0]), frame[:3, :3].T @ np.array([0, 1.0, 0])
 
 
@@ -294,7 +294,7 @@ def _moved_by(robot: Robot, hand: Hand) -> set[int]:
 
 
 def _points(robot: Robot, link: int, frames: NDArray) -> NDArray[np.float64]:
-    """Points [N, 3] around the shapes of a link in the root frame."""
+    """Return points [N, 3] around the shapes of a link in the root frame."""
     shapes: tuple[Shape, ...] = robot.links[link].shapes
     points = np.concatenate([shape_points(shape) for shape in shapes])
     return points @ frames[link][:3, :3].T + frames[link][:3, 3]

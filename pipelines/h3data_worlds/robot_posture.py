@@ -22,7 +22,7 @@ BODY_WEIGHT, SELF_WEIGHT = 10.0, 4.0
 
 
 def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array, reach_m: float) -> Array:
-    """Returns joint positions [J] in which the arm sticks out least beyond a circle around the robot's root.
+    """Return joint positions [J] in which the arm sticks out least beyond a circle around the robot's root.
 
     Args:
         robot: The robot.
@@ -70,7 +70,7 @@ class _Cost:
         self._radius = {k: SPARE_M + 0.5 * float(np.ptp(self._points[k], axis=0).min()) for k in arm}
 
     def _apart(self, a: int, b: int) -> bool:
-        """Returns whether two links are neither neighbours nor held by a common one."""
+        """Return whether two links are neither neighbours nor held by a common one."""
         parents = [link.parent for link in self._robot.links]
         return a not in (parents[b], parents[parents[b]]) and b != parents[a] and parents[a] != parents[b]
 

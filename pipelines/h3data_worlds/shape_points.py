@@ -10,7 +10,7 @@ from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
 
 def shape_points(shape: Shape) -> Array:
-    """Returns points [N, 3] on a shape, in its own frame: all corners, or points all around its round parts."""
+    """Return points [N, 3] on a shape, in its own frame: all corners, or points all around its round parts."""
     if isinstance(shape, Hull):
         return np.asarray(shape.points, np.float64)
     if isinstance(shape, Box):

@@ -35,7 +35,7 @@ class H3DataEnvConfig(EnvConfig):
     render_mode: str = "rgb_array"
 
     def __post_init__(self) -> None:
-        """Reads from the dataset how wide states and actions are and how large pictures.
+        """Read from the dataset how wide states and actions are and how large pictures.
 
         Raises:
             InputError: the dataset cannot be played.

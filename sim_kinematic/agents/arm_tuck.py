@@ -23,7 +23,7 @@ from sim_kinematic.motion.state import HumanState
 ROUNDING = 1e-9
 """Tolerance in the comparisons of `_draw_in_worlds`, far above what rounding can cause."""
 BLOCK = 256
-"""Lines that are followed together: their numbers fit into the first cache."""
+"""Number of lines that are followed together: their numbers fit into the first cache."""
 LOOKS = 3
 """Number of looks after which finished lines are sorted out, which saves a tenth of the time. Later looks change
 nothing: a line is finished when no further look can change its arm."""
@@ -120,7 +120,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 def draw_arms(
     state: HumanState, free: FreeSpace, body: Humanoid, rules: ArmRoomSpec | None, *, busy: Hand | None = None
 ) -> None:
-    """Moves the arms of people in all worlds towards or away from the body by one step, in place.
+    """Move the arms of people in all worlds towards or away from the body by one step, in place.
 
     How far each arm is folded in follows from the room beside the body; without rules the arms stay as they are. An arm
     whose hand is ``busy`` is released.
@@ -149,7 +149,7 @@ def draw_arms(
 
 @kernel(error_model="numpy")
 def _held_close(sdf, origin, cell, x, z, heading, ahead, aside, per_rad, per_m, free, tight, fan, onward):
-    """Returns how close to the body a hand has to be now, 0..1, so that it is close enough where the body may be soon.
+    """Return how close to the body a hand has to be now, 0..1, so that it is close enough where the body may be soon.
 
     The hand is ``ahead`` of the body and ``aside`` to its right when held out. A turn of 1 rad takes as long as coming in by
     ``per_rad``, a metre ahead as long as ``per_m``.

@@ -20,11 +20,11 @@ class Company(Protocol):
     bodies: list[Any]
 
     def meets(self, me: Any) -> bool:
-        """Returns whether an agent touches another that it avoids and did not touch before."""
+        """Return whether an agent touches another that it avoids and did not touch before."""
         ...
 
     def comes_too_near(self, me: Any) -> bool:
-        """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than they may in this step."""
         ...
 
     def discs_of(self, number: int) -> Array:
@@ -36,5 +36,5 @@ class Company(Protocol):
         ...
 
     def frames(self) -> list[Array]:
-        """Frames of the agents: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        """Return frames of the agents: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
         ...

@@ -51,7 +51,7 @@ class GivingWay:
         solid: bool = False,
         in_clips: bool = False,
     ) -> None:
-        """Introduces actors to each other: from now on each of them has this as its ``company``.
+        """Introduce actors to each other: from now on each of them has this as its ``company``.
 
         Args:
             roster: agents of the world.
@@ -105,11 +105,11 @@ class GivingWay:
         return AgentContacts(*(body_shapes(body) for body in self.bodies))
 
     def track(self, number: int) -> NDArray[np.float64]:
-        """Returns where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
+        """Return where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
         return self._places[number, : self._moments]
 
     def nearest(self, number: int) -> int:
-        """Returns the agent nearest to another, -1 if it is alone."""
+        """Return the agent nearest to another, -1 if it is alone."""
         if len(self.actors) < 3:
             return 1 - number if len(self.actors) == 2 else -1
         others = [actor for actor in self.actors if actor.number != number]
@@ -117,7 +117,7 @@ class GivingWay:
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Returns whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
+        """Return whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
         alone = (
             len(self.actors) == 2
             and not self._people_see_robot
@@ -127,7 +127,7 @@ class GivingWay:
         return other is not me and not alone
 
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
-        """Decides who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
+        """Decide who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
         if self.right_of_way is not None:
             self.right_of_way.update(carrying)
 
@@ -141,7 +141,7 @@ class GivingWay:
         me.others = tuple(seen)
 
     def _observed(self, other: AnyActor) -> ObservedAgent:
-        """Returns what all see of an agent, which only its own turn changes."""
+        """Return what all see of an agent, which only its own turn changes."""
         number, count = other.number, self._moments
         if number not in self._seen:
             track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
@@ -164,7 +164,7 @@ class GivingWay:
         self._at[number] = self.actors[number].xz.tolist()
 
     def meets(self, me: AnyActor) -> bool:
-        """Returns whether an agent in its present posture touches another that it avoids and did not touch before."""
+        """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
         here = me.xz.tolist()
         near = [other.number for other in self._avoided[me.number] if self._is_near(me.number, here, other.number)]
         if not near:
@@ -188,14 +188,14 @@ class GivingWay:
         return np.concatenate([np.zeros((0, 3)), *discs])
 
     def comes_too_near(self, me: AnyActor) -> bool:
-        """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than they may in this step."""
         discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
         # never more than the gap that there was: whoever is too near already may stay, and leave
         least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
         return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
 
     def frames(self) -> list[Array]:
-        """Frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        """Return frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
         return [
             actor.robot.link_matrices(actor.pose[None], actor.joints[None])
             if isinstance(actor, RobotActor)
@@ -215,11 +215,11 @@ class GivingWay:
         self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
-        """Returns whether an agent at (x, z) could touch another with their arms stretched out."""
+        """Return whether an agent at (x, z) could touch another with their arms stretched out."""
         return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
-        """Returns whether two agents touch as they are now."""
+        """Return whether two agents touch as they are now."""
         self._gate(self.actors[a])
         self._gate(self.actors[b])
         # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
@@ -230,7 +230,7 @@ class GivingWay:
         return self._contacts.collides(a, b)
 
     def _gate(self, actor: AnyActor) -> None:
-        """Moves the capsules around an agent to its present pose."""
+        """Move the capsules around an agent to its present pose."""
         if not _has_changed(actor, self._gated):
             return
         capsules = self._capsules[actor.number]
@@ -242,7 +242,7 @@ class GivingWay:
             capsules.pose(actor.person.base, actor.person.quats, actor.person.pelvis)
 
     def _pose(self, actor: AnyActor) -> None:
-        """Brings an agent's shapes to where recordings, which are float32, put them."""
+        """Bring an agent's shapes to where recordings, which are float32, put them."""
         if not _has_changed(actor, self._posed):
             return
         body = self.bodies[actor.number]
@@ -255,7 +255,7 @@ class GivingWay:
 
 
 def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
-    """Returns whether an agent's posture differs from the one that is ``kept`` of it, and keeps it."""
+    """Return whether an agent's posture differs from the one that is ``kept`` of it, and keep it."""
     place, quats = (*actor.xz.tolist(), actor.heading), None
     if isinstance(actor, RobotActor):
         # by value, because a robot's joints are changed in place
@@ -271,7 +271,7 @@ def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
 
 @kernel(error_model="numpy")
 def _note(places, moments, at, settled, count, still):
-    """Adds where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
+    """Add where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
     for n in range(len(at)):
         settled[n] = moments >= count
         for axis in range(2):
@@ -285,5 +285,5 @@ def _note(places, moments, at, settled, count, still):
 
 
 def _stored(values: Array) -> NDArray[np.float64]:
-    """Returns values as read back from float32."""
+    """Return values as read back from float32."""
     return values.astype(np.float32).astype(np.float64)

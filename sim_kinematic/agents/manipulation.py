@@ -25,7 +25,7 @@ from sim_kinematic.motion.step import first_not_finite
 # --- the robot's arm ----------------------------------------------------------------------------------------------------
 @kernel(error_model="numpy")
 def step_joint(position, command, most, lower, upper):
-    """A joint after one step of ``command``, clipped to -1..1 of ``most`` [rad or m] and to its limits."""
+    """Return a joint after one step of ``command``, clipped to -1..1 of ``most`` [rad or m] and to its limits."""
     return min(max(position + min(max(command, -1.0), 1.0) * most, lower), upper)
 
 
@@ -42,7 +42,7 @@ def _step_arms(joints, columns, action, most, lower, upper):
 
 
 def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
-    """Moves the arm of a robot in all worlds, in place.
+    """Move the arm of a robot in all worlds, in place.
 
     Args:
         state: state of the robot.
@@ -62,7 +62,7 @@ def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec)
 
 
 def robot_hands(state: RobotState, robot: Robot, floor: Floor = 0.0) -> NDArray[np.float64]:
-    """Returns the frames in which a robot holds things: its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
+    """Return the frames in which a robot holds things: its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
     base = root_pose(robot, state.xz, state.heading, floor)
     hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
     hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position

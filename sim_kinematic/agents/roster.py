@@ -46,7 +46,7 @@ def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
 def make_roster(
     agents: str | Sequence[str | Robot], *, robot: str | Path | Robot = ROBOT_BODY, human: str = HUMAN_BODY
 ) -> tuple[AgentSpec, ...]:
-    """Returns the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
+    """Return the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
 
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
@@ -79,7 +79,10 @@ def make_roster(
 
 
 def with_body(human: str | None, body: str) -> str:
-    """The person that is asked for; of a motion alone (``+walk.npz``) with the episode's own body, else the default one."""
+    """Return the person that is asked for.
+
+    If only a motion is named (``+walk.npz``), the person has the episode's own body, else the default one.
+    """
     body = body or HUMAN_BODY
     if human is None:
         return body
@@ -87,7 +90,7 @@ def with_body(human: str | None, body: str) -> str:
 
 
 def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
-    """The agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
+    """Return agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
 
     def is_named(name: str) -> bool:
         kind, colon, model = name.partition(":")
@@ -98,7 +101,7 @@ def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
 
 
 def _stored(model: str) -> str:
-    """The name by which recordings know a person; ``+walk.npz`` alone is the default body."""
+    """Return the name by which recordings know a person; ``+walk.npz`` alone is the default body."""
     if JOIN not in model:
         return model
     from h3data.bodies.names import stored_name
@@ -122,7 +125,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Returns whether a name that is no kind of agent means a person.
+    """Return whether a name that is no kind of agent means a person.
 
     People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
     """
@@ -132,7 +135,7 @@ def is_person(name: str) -> bool:
 
 
 def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:
-    """Returns the kind of each agent."""
+    """Return the kind of each agent."""
     return tuple(agent.kind for agent in roster)
 
 

@@ -28,7 +28,7 @@ def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
 
 
 def show_seated(person: Person, place: SeatPlace, at: Array, share: float) -> None:
-    """Puts a person at a place ``(x, z, heading)`` [3], so far on the way from standing (0) to sitting (1)."""
+    """Put a person at a place ``(x, z, heading)`` [3], in a posture between standing (0) and sitting (1)."""
     gait = HumanState.zeros(1)
     gait.xz[0], gait.heading[0] = at[:2], at[2]
     person.base = person.root_at(gait)

@@ -40,16 +40,14 @@ PRIMITIVES = {
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
 """Skill that is one step of a robot's lower layer: base, arm and hand by `Action.command`."""
-DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
-"""Skills of a person who is driven from outside, in the order in which their recordings number them."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
 SIT = "sit"
 """Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
 SEARCH = "nav_to_place"
 """Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
-ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT, SEARCH)
-"""Skills in the order in which recordings of homes with doors and drawers number them."""
+ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
+"""Skills in the order in which recordings of homes with doors and drawers, and of people driven from outside, number them."""
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
@@ -88,7 +86,7 @@ REASONS = {
 
 
 def sentence(reason: str) -> str:
-    """The sentence for a recorded reason; an unknown one is repeated as it is."""
+    """Return the sentence for a recorded reason; an unknown one is repeated as it is."""
     return REASONS.get(reason, f"It was not possible ({reason}).")
 
 
@@ -124,7 +122,7 @@ class Destination(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Destination:
-        """The destination that ``str`` wrote."""
+        """Return the destination that ``str`` wrote."""
         place, _, next_to = text.partition(" next to ")
         return cls(place, next_to)
 
@@ -174,7 +172,7 @@ Skill = Generator[None, None, SkillResult]
 
 @lru_cache(maxsize=64)
 def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) -> tuple[Action, ...]:
-    """All actions that an agent can choose among, in the order in which learned policies number them.
+    """Return all actions that an agent can choose among, in the order in which learned policies number them.
 
     They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
     actions, or 4 K + 1 for a person. `OPENING_SKILLS` with each of the joints ``parts`` follow, which a task names.
@@ -193,7 +191,7 @@ class LearnedSkill(Protocol):
         ...
 
     def start(self, actor: Any, action: Action) -> Skill:
-        """Begins an action; the skill that is returned advances by one step at each iteration."""
+        """Begin an action; the skill that is returned advances by one step at each iteration."""
         ...
 
 
@@ -231,12 +229,16 @@ class Objects:
         """Agent that holds each, [K]; a view."""
 
     def held(self, agent: int) -> int:
-        """Index of what an agent holds, -1 = nothing."""
+        """Return the index of what an agent holds, -1 = nothing."""
         holders = self.held_by.tolist()
         return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
-        """The pre-conditions that both kinds of actors share."""
+        """Return the reason why an agent cannot begin an action, by the rules for people and robots alike; empty if it can.
+
+        Raises:
+            InputError: There is no such skill, object, joint or surface.
+        """
         skill, k = action.skill, action.target
         is_known = skill in SKILLS or (self.joints and skill in OPENING_SKILLS)
         if not is_known and not (skill == SEARCH and self.sight is not None):

@@ -25,7 +25,7 @@ class StandSpec:
     """Places that are tried, and the room that agents need there."""
 
     bearings: int = 24
-    """Directions from which a point is approached."""
+    """Number of directions from which a point is approached."""
     person_distances_m: tuple[float, ...] = tuple(0.25 + 0.05 * k for k in range(13))
     """Distances from which a person reaches for a point."""
     hand_side_rad: float = 0.25
@@ -46,7 +46,7 @@ STANDS = StandSpec()
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0) -> Array:
-    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island."""
+    """Return stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island."""
     point = np.asarray(point, np.float64)
     side = STANDS.hand_side_rad if hand == "right" else -STANDS.hand_side_rad
     distances = np.array(STANDS.person_distances_m)
@@ -59,7 +59,7 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
 
 
 def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> Callable[[Array, float], bool]:
-    """Returns a function that tests whether a resting robot fits at a floor point [2] with a heading.
+    """Return a function that tests whether a resting robot fits at a floor point [2] with a heading.
 
     The discs of its base must be clear of obstacles and the rest of it of furniture, and there must be free floor
     around it to drive on.
@@ -78,14 +78,14 @@ def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> 
 
 
 def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> bool:
-    """Returns whether the discs of a base at a floor point [2] are clear of obstacles."""
+    """Return whether the discs of a base at a floor point [2] are clear of obstacles."""
     offsets = np.asarray(base.disc_offsets_m)
     room = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
     return room >= base.disc_radius_m
 
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
-    """Returns poses ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m].
+    """Return poses ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m].
 
     They lie on one island of the floor, where the base can turn all the way around
     (`sim_kinematic.agents.robots.hand_reach`).
@@ -99,7 +99,7 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
 
 
 def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
-    """Returns poses as `robot_stands`, for handles: the base need not be able to turn around there.
+    """Return poses as `robot_stands`, for handles: the base need not be able to turn around there.
 
     The hand may also reach to the side. The base fits at the pose and on the last `STANDS.approach_m` straight before or
     behind it.
@@ -128,7 +128,7 @@ def nearest_stand(
     crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
     is_clear: Callable[[Array], bool] | None = None,
 ) -> tuple[int, float]:
-    """Returns the index of the stand with the shortest path from ``start_xz`` [2], and the path's length [m].
+    """Return the index of the stand with the shortest path from ``start_xz`` [2], and the path's length [m].
 
     Stands that are ``crowded`` [N] are used only if all are, the less crowded first; only stands for which ``is_clear``
     is true count. Returns -1 and infinity if no stand can be reached.
@@ -154,12 +154,12 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
 
 
 def island_of(free: FreeSpace, xz: Array) -> int:
-    """The island on which an agent at a floor point [2] is; the largest for one that is a little off the floor."""
+    """Return the island on which an agent at a floor point [2] is; the largest for one that is a little off the floor."""
     return max(int(free.island(xz)), 0)
 
 
 def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Array:
-    """Stands around a world point that are on an island and on the point's storey, and not on stairs."""
+    """Stand around a world point that are on an island and on the point's storey, and not on stairs."""
     there = free.island(stands[:, :2]) == island
     if len(free.heights):
         level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < STANDS.level_m

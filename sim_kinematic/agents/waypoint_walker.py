@@ -66,7 +66,7 @@ class WaypointHuman:
     _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
+        """Return the way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]
@@ -92,7 +92,7 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The next goal [2] of somebody at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
+        """Return the next goal [2] of somebody at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
@@ -129,7 +129,7 @@ def walking_path(
 
 
 def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """The path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
+    """Return the path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
 
     A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
     as the straight ways to both its neighbours stay free.
@@ -149,7 +149,7 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
 
 
 def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """A point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
+    """Return a point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
     here, room = point, float(free.signed_distance(point))
     while room < clearance_m:
         away = free.gradient(here)
@@ -166,7 +166,7 @@ def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> ND
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
+    """Return the path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
 
     A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
     """
@@ -187,7 +187,7 @@ def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Returns where the lines through two legs [2, 2] cross ahead of the first; None if the turn between them is too wide."""
+    """Return where the lines through two legs [2, 2] cross ahead of the first; None if the turn between them is too wide."""
     u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
     cross = u[0] * v[1] - u[1] * v[0]
     # a cross product of 0: parallel legs meet nowhere
@@ -199,7 +199,7 @@ def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) 
 
 
 def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Returns whether the straight way from a to b is free: then it is the shortest."""
+    """Return whether the straight way from a to b is free: then it is the shortest."""
     # hardly snapped: a point beside the floor would be moved onto it, and its way would pass as free
     return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
@@ -222,7 +222,7 @@ def human_plan(
     steps: int,
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:
-    """Returns where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
+    """Return where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)

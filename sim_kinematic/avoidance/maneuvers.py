@@ -33,8 +33,6 @@ none; least gap to other agents [m]."""
 TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
 """Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
 finds longer maneuvers sooner."""
-MOST_NODES = 30_000
-"""Poses that a search looks at before it gives up."""
 
 
 @kernel(error_model="numpy")
@@ -88,7 +86,7 @@ def _search(
     parents,
     moved,
 ):
-    """Searches for a maneuver; returns the number of its last node, or -1 if there is none.
+    """Search for a maneuver; return the number of its last node, or -1 if there is none.
 
     Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
     heading at the end, to within ``facing`` [rad]. If ``slides``, the first move slides along obstacles as in
@@ -200,7 +198,7 @@ def plan_maneuver(
     within_m: float = 0.05,
     bearing: float | None = None,
 ) -> NDArray[np.float64]:
-    """Returns commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
+    """Return commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
 
     They lead past the next `GAIN_M` of path, or to within ``within_m`` of the goal and, there, to a heading ``bearing`` [rad].
     Empty where no maneuver does.
@@ -231,8 +229,9 @@ def plan_maneuver(
     for disc in wide:
         now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
         disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
-    poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
-    moved = np.empty(MOST_NODES, np.int64)
+    # a search gives up when it has looked at as many poses
+    poses = np.empty((30_000, 3))
+    parents, moved = np.empty(len(poses), np.int64), np.empty(len(poses), np.int64)
     slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m
     node = -1
     for slides in (False, True):  # a base wedged between two walls cannot move without sliding
@@ -295,6 +294,6 @@ def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:
-    """Returns the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
+    """Return the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
     dx, dz = point - xz
     return float(wrap_angle(math.atan2(-dz, dx) - reach))

@@ -28,9 +28,6 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
-DOTS_M = 0.2
-"""Points on a path for which distances to another are measured are no farther apart."""
-
 
 class Walker(Body, Protocol):
     """An agent that moves on the floor."""
@@ -71,11 +68,18 @@ class _Request:
     stays_steps: float = 0
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
-    """Steps since it got there."""
+    """Number of steps since it got there."""
     chose_at: tuple[float, float, float] | None = None
     """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     """Position [2] of the other agent when it was last observed."""
+
+    def advance(self, walker: Walker) -> None:
+        """Count a step, and remove the points of the route that the agent has reached."""
+        self.steps += 1
+        reached = AVOIDANCE.reached_m[walker.is_robot]
+        while len(self.route) and np.hypot(*(self.route[0] - walker.xz)) <= reached:
+            self.route = self.route[1:]
 
 
 class RightOfWay:
@@ -113,7 +117,7 @@ class RightOfWay:
         self._free, self._routes = free, FloorRoutes.of(free)
 
     def update(self, carrying: Sequence[int] = ()) -> None:
-        """Sets ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
+        """Set ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
         starts: dict[int, list[float] | None] = {}
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
@@ -128,7 +132,7 @@ class RightOfWay:
             wants = starts[number] is not None or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
             if number in self._requests:
-                _drop_reached(walker, self._requests[number])
+                self._requests[number].advance(walker)
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             request = self._requests.pop(number)
             starts[number] = self._start(self._walkers[number])
@@ -155,12 +159,12 @@ class RightOfWay:
             walker.aside = self._requests[number].route if number in self._requests else None
 
     def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
-        """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
+        """Return whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
         return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
-        """Returns the agents in the order of their priority.
+        """Return the agents in the order of their priority.
 
         Busy agents come before idle ones, people before robots, agents that carry something before others, then shorter
         paths before longer ones. An agent that steps aside comes right after the one that asked for it.
@@ -186,7 +190,7 @@ class RightOfWay:
         return sorted(self._walkers.values(), key=key)
 
     def _chain(self, number: int) -> list[int]:
-        """Returns an agent, the one that asked it to step aside, the one that asked that one, and so on."""
+        """Return an agent, the one that asked it to step aside, the one that asked that one, and so on."""
         chain = [number]
         # requests may form a circle, so each agent counts once
         while chain[-1] in self._requests and self._requests[chain[-1]].by not in chain:
@@ -194,21 +198,21 @@ class RightOfWay:
         return chain
 
     def path(self, walker: Walker) -> NDArray[np.floating]:
-        """Returns the path that an agent follows now, [N, 2]: aside if it was asked, else its own."""
+        """Return the path that an agent follows now, [N, 2]: aside if it was asked, else its own."""
         if walker.number in self._requests:
             route = self._requests[walker.number].route
             return np.vstack([walker.xz[None], route]) if len(route) else NO_PATH
         return walker.path
 
     def _start(self, walker: Walker) -> list[float] | None:
-        """Returns the first point (x, z) of `path`; None: it is empty."""
+        """Return the first point (x, z) of `path`; None: it is empty."""
         if walker.number in self._requests:
             return walker.xz.tolist() if len(self._requests[walker.number].route) else None
         start = walker.path_start
         return None if start is None else start.tolist()
 
     def _may_block(self, other: Walker, me: Walker, starts: Mapping[int, list[float] | None]) -> bool:
-        """Returns whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`.
+        """Return whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`.
 
         ``starts`` are the first points of the paths of both.
         """
@@ -227,7 +231,7 @@ class RightOfWay:
         return math.hypot(other_x - x, other_z - z) <= reach
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
-        """Returns whether an agent should step aside for me."""
+        """Return whether an agent should step aside for me."""
         if not self._may_block(other, me, {walker.number: self._start(walker) for walker in (other, me)}):
             return False
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
@@ -238,7 +242,7 @@ class RightOfWay:
         return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
-        """Asks an agent to step aside for me; returns whether it does."""
+        """Ask an agent to step aside for me; return whether it does."""
         path = self.path(me)
         before, mine = self._requests.get(other.number), self._requests.get(me.number)
         if mine is not None and mine.stays_steps and mine.by == other.number:
@@ -266,7 +270,7 @@ class RightOfWay:
         return False
 
     def _exchange(self, other: Walker, me: Walker, leaves: NDArray, first: Sequence[Walker]) -> bool:
-        """Makes me step aside for an agent that cannot clear my path otherwise; returns whether I can."""
+        """Make me step aside for an agent that cannot clear my path otherwise; return whether I can."""
         if me.number in self._requests or not me.yields:
             return False
         path = np.vstack([other.xz[None], leaves])
@@ -281,7 +285,7 @@ class RightOfWay:
 
     # --- stand-offs ----------------------------------------------------------------------------------------------------
     def _part(self, stand_offs: StandOffs, pair: tuple[int, int], carrying: Sequence[int]) -> None:
-        """Sends one of two agents to a refuge: the idle one, one that holds nothing, a robot; the next time the other."""
+        """Send one of two agents to a refuge: the idle one, one that holds nothing, a robot; the next time the other."""
         if any(self._goes_to_refuge(number, sum(pair) - number) for number in pair):
             return
         encounter, errands = stand_offs.of(*pair), {number: stand_offs.errand(number) for number in pair}
@@ -308,14 +312,14 @@ class RightOfWay:
             return
 
     def _goes_to_refuge(self, number: int, other: int) -> bool:
-        """Returns whether an agent is on its way to a refuge, which is still far from the other."""
+        """Return whether an agent is on its way to a refuge, which is still far from the other."""
         request = self._requests.get(number)
         if request is None or not request.stays_steps or not len(request.route):
             return False
         return math.dist(request.route[-1], self._walkers[other].xz) > AVOIDANCE.stand_off_m
 
     def _is_held_off(self, number: int, other: int) -> bool:
-        """Returns whether another agent, which is driven from outside, holds an agent up that has not left its path yet."""
+        """Return whether another agent, which is driven from outside, holds an agent up that has not left its path yet."""
         request = self._requests.get(number)
         if request is not None and request.stays_steps:
             return False
@@ -326,7 +330,7 @@ class RightOfWay:
         return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 
     def _refuge(self, me: Walker, other: Walker) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place far from the other agent's path.
+        """Return points [N, 2] that lead to the nearest place far from the other agent's path.
 
         If there is no such place, they lead to the one that is farthest from it.
         """
@@ -349,7 +353,7 @@ class RightOfWay:
         return None
 
     def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
-        """Returns whether an agent goes on from its refuge, or from the path to it."""
+        """Return whether an agent goes on from its refuge, or from the path to it."""
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
@@ -380,7 +384,7 @@ class RightOfWay:
         return request.stayed > request.stays_steps or (obeys and self._is_past(walker, other))
 
     def _go_farther(self, me: Walker, other: Walker, request: _Request) -> None:
-        """Leads an agent on from a refuge near which the other, who is driven from outside, has come, if there is another."""
+        """Lead an agent on from a refuge near which the other, who is driven from outside, has come, if there is another."""
         apart = math.dist(request.route[-1] if len(request.route) else me.xz, other.xz)
         if math.isfinite(request.stays_steps) or apart > AVOIDANCE.stand_off_m:
             return
@@ -389,7 +393,7 @@ class RightOfWay:
             request.route, request.stayed = route, 0
 
     def _gets_around(self, walker: Walker, other: Walker, gap_m: float) -> bool:
-        """Returns whether an agent gets to its goal around another as that one stands, or would not get there alone either."""
+        """Return whether an agent gets to its goal around another as that one stands, or would not get there alone either."""
         if not len(walker.path):
             return False
         discs = discs_of(other) + np.array([0.0, 0.0, walker.footprint.radius_m + gap_m])
@@ -399,7 +403,7 @@ class RightOfWay:
         return around or not alone
 
     def _is_past(self, walker: Walker, other: Walker) -> bool:
-        """Returns whether the path of one agent leads nowhere near another, nor near the other's path."""
+        """Return whether the path of one agent leads nowhere near another, nor near the other's path."""
         if not len(walker.path):
             return False
         theirs = other.path if len(other.path) else other.xz[None]
@@ -407,11 +411,11 @@ class RightOfWay:
         return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
 
     def _gap_m(self, walker: Walker, length_m: float, theirs: NDArray, their_m: float) -> float:
-        """Distance [m] between the beginnings of an agent's path and of another's path [N, 2], each of a length."""
+        """Return the distance [m] between the beginnings of an agent's path and of another's path [N, 2], each of a length."""
         # the shortest path from here, which it will take once it is let go; its old path began elsewhere
         mine = self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0) if len(walker.path) else NO_PATH
         paths = np.ascontiguousarray(mine, np.float64), length_m, np.ascontiguousarray(theirs, np.float64), their_m
-        return distance_of_paths(*walker.xz.tolist(), *paths, DOTS_M)
+        return distance_of_paths(*walker.xz.tolist(), *paths, AVOIDANCE.dots_m)
 
     # --- how long ------------------------------------------------------------------------------------------------------
     def _is_over(self, walker: Walker, request: _Request) -> bool:
@@ -436,7 +440,7 @@ class RightOfWay:
     def _retreat(
         self, walker: Walker, paths: Sequence[tuple[Walker, NDArray]], first: Sequence[Walker]
     ) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place off the given paths and those of agents with a higher rank.
+        """Return points [N, 2] that lead to the nearest place off the given paths and those of agents with a higher rank.
 
         The route passes agents that can step aside only if there is no other.
         """
@@ -472,28 +476,20 @@ class RightOfWay:
         return None
 
     def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
-        """Returns where an agent is, and will be on the next metres of its path, [N, 2]."""
+        """Return where an agent is, and will be on the next metres of its path, [N, 2]."""
         path = first_of_path(self.path(walker), AVOIDANCE.asks_moving_m)
-        legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
+        legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / AVOIDANCE.dots_m)) for a, b in pairwise(path)]
         return np.vstack([walker.xz[None], (np.concatenate(legs) if legs else path)])
 
 
 def aside_distance_m(a: Body, b: Body) -> float:
-    """Returns the distance between an agent and another's path at which it is aside [m]."""
+    """Return the distance between an agent and another's path at which it is aside [m]."""
     return AVOIDANCE.aside_m[a.is_robot + b.is_robot] + _size_beyond_default(a) + _size_beyond_default(b)
 
 
 def _size_beyond_default(body: Body) -> float:
     """By how much a robot extends farther from its origin than ``quad_arm`` [m], for which the distances were tuned."""
     return body.footprint.extent_m - AVOIDANCE.robot.extent_m if body.is_robot else 0.0
-
-
-def _drop_reached(walker: Walker, request: _Request) -> None:
-    """Count a step of a request and remove the points of its route that the agent has reached."""
-    request.steps += 1
-    reached = AVOIDANCE.reached_m[walker.is_robot]
-    while len(request.route) and np.hypot(*(request.route[0] - walker.xz)) <= reached:
-        request.route = request.route[1:]
 
 
 def _place(walker: Walker) -> tuple[float, float, float]:

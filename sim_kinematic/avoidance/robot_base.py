@@ -32,7 +32,7 @@ class RobotBase(BaseSpec):
 
 
 def base_of(robot: Humanoid | Robot, rules: BaseSpec) -> BaseSpec:
-    """Returns a task's rules for bases with the discs, limits and hull of one robot; for a person, the rules themselves.
+    """Return a task's rules for bases with the discs, limits and hull of one robot; for a person, the rules themselves.
 
     The discs of `HOME_BASE` stand for the robot's own discs, those of `BaseSpec` for its profile ``habitat``, where it has one.
     What the rules set to another value than the default stays: they ask for something special. For ``quad_arm`` the result
@@ -60,27 +60,27 @@ def base_of(robot: Humanoid | Robot, rules: BaseSpec) -> BaseSpec:
 
 @lru_cache(maxsize=256)
 def agent_base(episode: Any, number: int) -> BaseSpec:
-    """Returns discs and limits of an agent: a robot's own; for a person, whom no base limits, those of the rules."""
+    """Return discs and limits of an agent: a robot's own; for a person, whom no base limits, those of the rules."""
     return base_of(episode.roster[number].body, episode.spec.robot)
 
 
 def hull_of(base: BaseSpec) -> tuple[float, ...]:
-    """Returns the offsets along x of the discs that cover a whole robot [m]."""
+    """Return the offsets along x of the discs that cover a whole robot [m]."""
     return base.hull_offsets_m if isinstance(base, RobotBase) else AVOIDANCE.robot.offsets_m
 
 
 def footprint_of(base: BaseSpec) -> Footprint:
-    """Returns a robot as other agents see it: its hull, a little wider than its base."""
+    """Return a robot as other agents see it: its hull, a little wider than its base."""
     return Footprint(hull_of(base), base.disc_radius_m + AVOIDANCE.robot_margin_m)
 
 
 def wider_by(base: BaseSpec) -> float:
-    """Returns by how much a base's discs are wider than those of ``quad_arm`` [m]."""
+    """Return by how much a base's discs are wider than those of ``quad_arm`` [m]."""
     return base.disc_radius_m - _RULES.disc_radius_m
 
 
 def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
-    """Returns a base with one more disc, which covers an object that the folded arm carries.
+    """Return a base with one more disc, which covers an object that the folded arm carries.
 
     The object is taken as a ball of `CARRIED_M`. ``base`` itself is returned if its discs cover the object already, or
     if it is not the base that covers the whole robot, as in the profile ``habitat``. The hand of ``quad_arm`` is 5 cm
@@ -101,7 +101,7 @@ def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
 
 
 def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> FreeSpace:
-    """Returns the floor on which a robot finds its paths: ``free``, unless its base is wider than the agents' radius there.
+    """Return the floor on which a robot finds its paths: ``free``, unless its base is wider than the agents' radius there.
 
     Raises:
         SceneError: The base is so wide that it fits nowhere.

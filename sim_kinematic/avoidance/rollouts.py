@@ -41,7 +41,7 @@ def roll_out(
     *,
     look_steps: int,
 ) -> Rollouts:
-    """Simulates N commands from one pose.
+    """Simulate N commands from one pose.
 
     A command [N, 4] is ``(forward, turn, steps, then)``: forward and left turn in -1..1 of the limits for a number of
     steps, then straight on at speed ``then``. The base slides along obstacles as in
@@ -149,7 +149,7 @@ def _roll_out(
 def straight_walk(
     free: FreeSpace, xz: NDArray[np.float64], velocity: NDArray[np.float64], steps: int
 ) -> NDArray[np.float64]:
-    """Returns where a person at ``xz`` [2] gets in each of ``steps`` steps [steps, 2] at a velocity [2] [m/s], up to a wall."""
+    """Return where a person at ``xz`` [2] gets in each of ``steps`` steps [steps, 2] at a velocity [2] [m/s], up to a wall."""
     walk = xz + velocity * (np.arange(1, steps + 1)[:, None] * STEP_S)
     if velocity.any():
         blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - AVOIDANCE.wall_m)

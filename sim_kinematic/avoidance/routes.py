@@ -106,7 +106,7 @@ class FloorRoutes:
     @staticmethod
     @lru_cache(maxsize=16)
     def of(free: FreeSpace) -> FloorRoutes:
-        """Returns the grid of a home, made once."""
+        """Return the grid of a home, made once."""
         cell = AVOIDANCE.cell_m
         count = np.ceil(np.array(free.sdf.shape) * free.cell_m / cell).astype(int)
         axes = [free.origin[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
@@ -148,7 +148,7 @@ class DistanceMap:
     """Flat index of the cell before each cell on its path, -1 for the first, [nx, nz]."""
 
     def path_to(self, goal: NDArray) -> NDArray[np.float64] | None:
-        """Returns floor points [N, 2] from the start to ``goal`` [2] with free straight legs; None if there is no path."""
+        """Return floor points [N, 2] from the start to ``goal`` [2] with free straight legs; None if there is no path."""
         # cells near the goal are few: distances to all of them took longer than the search
         i, j = (max(int((goal[k] - self.grid.origin[k]) / AVOIDANCE.cell_m) - 3, 0) for k in (0, 1))
         part = slice(i, i + 7), slice(j, j + 7)
@@ -160,7 +160,7 @@ class DistanceMap:
         return self._path(int((i + a) * self.distance.shape[1] + j + b), goal)
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
-        """Returns whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
+        """Return whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
         # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 
@@ -168,7 +168,7 @@ class DistanceMap:
         return KDTree(open_cells).query(places)[0] <= AVOIDANCE.near_m
 
     def path_to_nearest(self, fits: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-        """Returns the path, as `path_to`, to the nearest of the cells [nx, nz] that fit."""
+        """Return the path, as `path_to`, to the nearest of the cells [nx, nz] that fit."""
         lengths = np.where(fits, self.distance, np.inf)
         # the nearest along the floor, not through walls
         best = int(lengths.argmin())
@@ -193,7 +193,7 @@ class DistanceMap:
 
 
 def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:
-    """Returns distances [...] [m] of points [..., 2] to the line through floor points [N, 2]; infinite for an empty path."""
+    """Return distances [...] [m] of points [..., 2] to the line through floor points [N, 2]; infinite for an empty path."""
     points = np.asarray(points, np.float64)
     if len(path) == 0:
         return np.full(points.shape[:-1], np.inf)
@@ -203,7 +203,7 @@ def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:
 
 @kernel(error_model="numpy")
 def _distances(points, path):
-    """Distances [P] of points [P, 2] to the line through floor points [N, 2]."""
+    """Return distances [P] of points [P, 2] to the line through floor points [N, 2]."""
     least = np.empty(len(points))
     for p in range(len(points)):
         x, z = points[p]
@@ -220,7 +220,10 @@ def _distances(points, path):
 
 @kernel(error_model="numpy")
 def _distance_to_part(x, z, path, begin, end):
-    """Distance of (x, z) to a path [N, 2] between two of its lengths; to its end, if it is shorter than ``begin``."""
+    """Return the distance of (x, z) to a path [N, 2] between two of its lengths.
+
+    If the path is shorter than ``begin``, this is the distance to its end.
+    """
     done, least, last = 0.0, math.inf, len(path) - 1
     for k in range(last):
         leg_x, leg_z = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
@@ -238,7 +241,7 @@ def _distance_to_part(x, z, path, begin, end):
 
 @kernel(error_model="numpy")
 def is_ahead(points, path, begin, end, within, x, z):
-    """Returns whether one of the points [P, 2] is near a path [N, 2] between two of its lengths [m], but not beside (x, z).
+    """Return whether one of the points [P, 2] is near a path [N, 2] between two of its lengths [m], but not beside (x, z).
 
     It is near ``within`` a distance [m], and beside (x, z) if it is nearer to that than to the path.
     """
@@ -251,7 +254,7 @@ def is_ahead(points, path, begin, end, within, x, z):
 
 @kernel(error_model="numpy")
 def distance_of_paths(x, z, mine, length, other, other_length, apart):
-    """Distance between the beginnings, of two lengths [m], of paths [N, 2] and [M, 2].
+    """Return the distance between the beginnings, of two lengths [m], of paths [N, 2] and [M, 2].
 
     The first path, which (x, z) belongs to, counts by points on its legs that are at most ``apart`` [m] from each other.
     """
@@ -272,14 +275,17 @@ def distance_of_paths(x, z, mine, length, other, other_length, apart):
 
 
 def first_of_path(path: NDArray, length_m: float) -> NDArray[np.float64]:
-    """Returns the beginning of a path [N, 2], of a length [m]."""
+    """Return the beginning of a path [N, 2], of a length [m]."""
     k, share = _leg_at(np.ascontiguousarray(path, np.float64), length_m) if len(path) > 1 else (-1, 0.0)
     return path if k < 0 else np.vstack([path[: k + 1], path[k] + share * (path[k + 1] - path[k])])
 
 
 @kernel(error_model="numpy")
 def _leg_at(path, length):
-    """Number of the leg of a path [N, 2] on which a length [m] ends, and the share of it; -1: the path is no longer."""
+    """Return the number of the leg of a path [N, 2] on which a length [m] ends, and the share of it.
+
+    The number is -1 if the path is not that long.
+    """
     done, end, last, share = 0.0, -1, 0.0, 0.0
     for k in range(len(path) - 1):
         leg = math.hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])

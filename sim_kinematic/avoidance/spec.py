@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
@@ -10,7 +10,7 @@ class Footprint(NamedTuple):
     """Discs along the x axis of an agent that cover its outline on the floor."""
 
     offsets_m: tuple[float, ...]
-    """Offsets of their centres along the heading."""
+    """Offsets of the discs' centres along the heading [m]."""
     radius_m: float
 
     @property
@@ -21,9 +21,6 @@ class Footprint(NamedTuple):
 
 PERSON = Footprint((0.0,), 0.3)
 """A person, as agents that plan around them see them."""
-QUAD_ARM = Footprint((-0.3, 0.0, 0.4), 0.3)
-"""``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
-plan paths through its hind legs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +34,9 @@ class AvoidanceSpec:
 
     # --- sizes ---------------------------------------------------------------------------------------------------------
     person: Footprint = PERSON
-    robot: Footprint = QUAD_ARM
+    robot: Footprint = field(default=Footprint((-0.3, 0.0, 0.4), 0.3))
+    """``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
+    plan paths through its hind legs."""
     robot_margin_m: float = 0.05
     """Width that is added to those discs beyond the base discs, for legs and an arm that sway."""
 
@@ -51,12 +50,14 @@ class AvoidanceSpec:
     """Angular acceleration with which people begin and end a turn."""
     corner_mps: float = 1.2
     """Speed to which they have braked at a corner of their path."""
+    dots_m: float = 0.2
+    """Largest distance between the points on a path from which distances to another path are measured [m]."""
     range_m: float = 4.0
     """Agents farther away are ignored: at 2.5 m/s each, two need 0.8 s to meet."""
     horizon_steps: int = 24
-    """Steps that each trial command is rolled out."""
+    """Number of steps that each trial command is rolled out."""
     stride_steps: int = 3
-    """Steps between the moments of a roll-out in which gaps are measured."""
+    """Number of steps between the moments of a roll-out in which gaps are measured."""
     doubt_mps: float = 0.25
     """Gaps in the future count as wider by this speed: an agent's motion is known best now."""
     person_radius_m: float = 0.35
@@ -85,7 +86,7 @@ class AvoidanceSpec:
     wall_m: float = 0.03
     """A person walking straight on is taken to stop this much closer to an obstacle than their radius."""
     velocity_steps: int = 3
-    """Steps over which an agent's velocity is measured."""
+    """Number of steps over which an agent's velocity is measured."""
     contact_gate_m: float = 2.0
     """Agents farther apart cannot touch, arms stretched out."""
     contact_span_m: float = 1.4
@@ -105,7 +106,7 @@ class AvoidanceSpec:
     stands_mps: float = 0.05
     """Agents slower than this stand."""
     patience_steps: int = 90
-    """Steps after which a person gives up waiting for others to clear the path."""
+    """Number of steps after which a person gives up waiting for others to clear the path."""
     detour_after_steps: tuple[int, int] = (10, 40)
     """Stalled steps after which a robot looks for a path around the agents that stand."""
     detours: int = 3
@@ -129,7 +130,7 @@ class AvoidanceSpec:
     aside_m: tuple[float, float, float] = (0.8, 1.1, 1.3)
     """Distance to the other's path that counts as aside: two people, a person and a robot, two robots."""
     aside_share: float = 0.8
-    """Share of that distance that is accepted where there is no more room."""
+    """Share of the distance to a path that is accepted for stepping aside where there is no more room."""
     beside_m: tuple[float, float] = (0.65, 0.9)
     """An agent is on the path of a person, or of a robot, if the centre of one of its discs is this close to it."""
     asks_idle_m: float = 2.5

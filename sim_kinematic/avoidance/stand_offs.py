@@ -51,7 +51,7 @@ class StandOffs:
         self.errand = errand
 
     def of(self, a: int, b: int) -> Encounter:
-        """Returns the encounter of two agents."""
+        """Return the encounter of two agents."""
         return self._encounters[min(a, b), max(a, b)]
 
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:

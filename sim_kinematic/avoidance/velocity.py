@@ -6,6 +6,7 @@ will be if they keep their velocity.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -21,20 +22,19 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import are_clear, integrate_along, wrap_angle
 
-_LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # standing still comes first: of equal commands the first one wins
-_CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
+_CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)])
 
 
 @kernel(error_model="numpy")
 def least_gap(x, z, heading, other_x, other_z, hull, reach):
-    """Returns the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
+    """Return the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
     return gap_along(x, z, math.cos(heading), math.sin(heading), other_x, other_z, hull, reach)
 
 
 @kernel(error_model="numpy", inline="always")
 def gap_along(x, z, c, s, other_x, other_z, hull, reach):
-    """Returns the same as `least_gap` of a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the same as `least_gap` of a heading whose cosine ``c`` and sine ``s`` are known."""
     least = math.inf
     for offset in hull:
         dx = x + c * offset - other_x
@@ -45,7 +45,7 @@ def gap_along(x, z, c, s, other_x, other_z, hull, reach):
 
 @kernel(error_model="numpy")
 def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
-    """Rolls out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
+    """Roll out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
 
     The base stays where it would touch an obstacle. The least gap to each other agent goes to ``gaps`` [N]; later gaps count
     as wider by a doubt [m/s]. The trial ends early where an agent lacks ``enough`` of its margin already.
@@ -79,7 +79,7 @@ def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base,
 def choose_command(
     sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, levels, gaps
 ):
-    """Number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
+    """Return the number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
 
     Others [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``; ``before`` is NaN where it does
     not count. ``gaps`` [N] is room to work in.
@@ -155,7 +155,7 @@ def keep_clear(
     others: Sequence[ObstacleDisc],
     before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
+    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
     most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.
@@ -220,7 +220,7 @@ def _within(wanted: float, before: float, up: float, down: float) -> float:
 
 
 def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
-    """Returns the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
+    """Return the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
     return math.sqrt(2.0 * accel * max(left, 0.0) + last * last)
 
 
@@ -231,7 +231,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
-    """Returns whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
+    """Return whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
     other_x, other_z = other.xz
     gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]

@@ -39,7 +39,7 @@ class Body(Protocol):
 
     @property
     def is_robot(self) -> bool:
-        """Returns whether the agent is a robot; otherwise it is a person."""
+        """Return whether the agent is a robot; otherwise it is a person."""
         ...
 
     @property
@@ -59,7 +59,7 @@ class Body(Protocol):
 
 
 def discs_of(body: Body) -> NDArray[np.float64]:
-    """Returns the discs ``(x, z, radius)`` [N, 3] of an agent's footprint in the world."""
+    """Return the discs ``(x, z, radius)`` [N, 3] of an agent's footprint in the world."""
     return np.array(_discs_of(body))
 
 
@@ -73,7 +73,7 @@ def _discs_of(body: Body) -> list[tuple[float, float, float]]:
 
 
 def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[ObstacleDisc]:
-    """Returns all discs of the others that a robot's base keeps clear of.
+    """Return all discs of the others that a robot's base keeps clear of.
 
     With ``agreed``, agents step aside for each other when asked, so those that stand may be passed more closely.
     """
@@ -87,7 +87,7 @@ def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[Ob
 
 
 def stands(other: ObservedAgent) -> bool:
-    """Returns whether an agent stands."""
+    """Return whether an agent stands."""
     return math.hypot(*other.velocity.tolist()) <= AVOIDANCE.stands_mps
 
 
@@ -135,7 +135,7 @@ def path_around(
     radius_m: float = AVOIDANCE.person.radius_m,
     passing_m: Sequence[float] = AVOIDANCE.passing_m,
 ) -> NDArray | None:
-    """Returns floor points [N, 2] from ``xz`` [2] to ``goal`` [2] around all agents that stand; None if there is no path.
+    """Return floor points [N, 2] from ``xz`` [2] to ``goal`` [2] around all agents that stand; None if there is no path.
 
     ``radius_m`` is one's own; ``passing_m`` are gaps to leave beside the others, of which the first that works is taken.
     """
@@ -172,7 +172,7 @@ def shut_off(
 def retreat_place(
     free: FreeSpace, xz: NDArray, others: Sequence[ObservedAgent], *, wider_m: float = 0.0
 ) -> NDArray[np.float64] | None:
-    """Returns the place [2] nearest to a robot at ``xz`` [2] from which a person nearby has room to pass.
+    """Return the place [2] nearest to a robot at ``xz`` [2] from which a person nearby has room to pass.
 
     None if no person is near, or if there is no such place. ``wider_m`` is by how much the robot is wider than ``quad_arm``.
     """
@@ -194,7 +194,7 @@ def retreat_place(
 
 
 def crowds(places: NDArray, others: Sequence[ObservedAgent]) -> NDArray[np.bool_]:
-    """Returns whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
+    """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
     apart = AVOIDANCE.apart_m
     gaps = [np.hypot(*(places[:, :2] - other.xz).T) < apart for other in others if not other.steps_aside]
     return np.any(gaps, axis=0) if gaps else np.zeros(len(places), np.bool_)

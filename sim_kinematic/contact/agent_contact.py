@@ -43,12 +43,12 @@ class AgentContacts:
         return [(a, b) for a, b in combinations(range(len(self._bodies)), 2) if self.collides(a, b)]
 
     def collides(self, a: int = 0, b: int = 1) -> bool:
-        """Returns whether two agents touch."""
+        """Return whether two agents touch."""
         first, second = self._bodies[a], self._bodies[b]
         return first.is_near(second) and collide(first.posed(), second.posed())
 
     def contacts(self, a: int = 0, b: int = 1) -> list[Contact]:
-        """Returns the contacts of two agents, deepest first."""
+        """Return the contacts of two agents, deepest first."""
         first, second = self._bodies[a], self._bodies[b]
         return contacts(first.posed(), second.posed()) if first.is_near(second) else []
 
@@ -73,7 +73,7 @@ class _Body:
         self._frames, self._stale = frames, True
 
     def is_near(self, other: _Body) -> bool:
-        """Returns whether a capsule of this body is within `NEAR_M` of one of the other's."""
+        """Return whether a capsule of this body is within `NEAR_M` of one of the other's."""
         return any_near(
             _world(self._frames, self._ends), self._radii, _world(other._frames, other._ends), other._radii, NEAR_M
         )
@@ -88,7 +88,7 @@ class _Body:
 
 @kernel(error_model="numpy")
 def _world(frames, ends):
-    """Ends of axes [n, 2, 3] in the world, of those in frames [n, 4, 4]."""
+    """Return ends of axes [n, 2, 3] in the world, of those in frames [n, 4, 4]."""
     out = np.empty_like(ends)
     for n in range(len(ends)):
         for k in range(2):
@@ -101,7 +101,7 @@ def _world(frames, ends):
 
 @kernel(error_model="numpy")
 def any_near(ends_a, radii_a, ends_b, radii_b, margin):
-    """Returns whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
+    """Return whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
     # balls around the other's capsules: they rule out most pairs, without the distance of two segments
     spheres = np.empty((len(radii_b), 4))
     for b in range(len(radii_b)):

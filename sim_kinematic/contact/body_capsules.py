@@ -53,7 +53,7 @@ class PersonCapsules:
 
 
 def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
-    """Returns whether `AgentContacts` must be asked: two capsules are within twice `NEAR_M`."""
+    """Return whether `AgentContacts` must be asked: two capsules are within twice `NEAR_M`."""
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
     margin_m = 2 * NEAR_M
@@ -98,7 +98,7 @@ def _pose_person(base, quats, pelvis, joints, ends, offsets, parents, frames, ou
 
 @kernel(error_model="numpy")
 def _move(frames, of, ends, out):
-    """Ends [n, 2, 3] given in the frames ``of`` [n], in the world."""
+    """End [n, 2, 3] given in the frames ``of`` [n], in the world."""
     for n in range(len(of)):
         frame = frames[of[n]]
         for k in range(2):

@@ -72,7 +72,7 @@ class RobotHumanContact:
         seats: NDArray | None = None,
         hands: NDArray | None = None,
     ) -> NDArray[np.bool_]:
-        """Returns whether robot and person touch in each of N cases, [N]; the people are posed together.
+        """Return whether robot and person touch in each of N cases, [N]; the people are posed together.
 
         Args:
             robot_base: poses of the robot's root [N, 7].
@@ -146,7 +146,7 @@ def robot_reach(robot: Robot, joints: Array) -> float:
 
 
 def robot_span(robot: Robot) -> float:
-    """Returns an upper bound of the distance between the root and any shape of the robot in any posture [m].
+    """Return an upper bound of the distance between the root and any shape of the robot in any posture [m].
 
     It is the sum of the lengths of all links up to the shape, as if stretched out.
     """

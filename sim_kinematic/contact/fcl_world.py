@@ -79,7 +79,7 @@ class FclScene(_Objects):
         super().__init__(geometries, matrices)
 
     def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
-        """Returns whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
+        """Return whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
 
         It is a first test, 50 times as fast as FCL's exact answer.
         """
@@ -215,7 +215,7 @@ def _near_moved(frames, start, end, radius, bounds):
 
 
 def collide(a: _Objects, b: _Objects) -> bool:
-    """Returns whether anything of a overlaps anything of b; touching within rounding counts either way."""
+    """Return whether anything of a overlaps anything of b; touching within rounding counts either way."""
     import fcl
 
     if not len(a) or not len(b):

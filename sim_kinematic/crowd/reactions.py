@@ -20,7 +20,7 @@ class Reaction(NamedTuple):
     """Numbers of one reaction."""
 
     within_m: float
-    """Distance within which the robot is noticed [m]; 0: never, the robot is avoided like anything else."""
+    """Distance within which a robot is noticed [m]; with 0, people avoid robots only as they avoid anything else."""
     lasts_s: float = 0.0
     """Time from the first sight after which the reaction is over [s]."""
     again: float = 0.0

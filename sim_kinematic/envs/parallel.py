@@ -24,8 +24,6 @@ except ImportError as error:
         "Environments of two agents need PettingZoo. Hint: pip install 'h3data[env]'", code="H3-ENV-021"
     ) from error
 
-Infos = dict[str, dict[str, Any]]
-
 
 class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Environment in which several agents act at every step and all get the same reward.
@@ -59,7 +57,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observations], Infos]:
+    ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
         """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``."""
         # unlike Gymnasium's, environments of PettingZoo have no generator of their own
         if seed is not None or self._episode < 0:
@@ -72,7 +70,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
 
     def step(
         self, actions: dict[str, ArrayLike]
-    ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+    ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Give all agents their actions.
 
         Raises:
@@ -106,7 +104,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         """Return the observations of all agents by name."""
         return {agent: first(self.stepper.observe(agent)) for agent in self.agents}
 
-    def _informed(self) -> Infos:
+    def _informed(self) -> dict[str, dict[str, Any]]:
         """Return the facts for all agents by name."""
         return {agent: first(self.stepper.info(agent)) for agent in self.agents}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from h3data.errors import H3DataError
 from h3data.plugins import load_reference, own_entries
@@ -12,14 +12,13 @@ from h3data.plugins import load_reference, own_entries
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
-MAKE = "h3data:make"
-"""Reference to the function that makes environments. It is a name, as the function is in a layer above."""
-
 
 @dataclass(frozen=True)
 class EnvRecipe:
     """Arguments of `sim_kinematic.envs.make.make` from which an environment is made again."""
 
+    function: ClassVar[str] = "h3data:make"
+    """Reference to the function that makes environments. It is a name, as the function is in a layer above."""
     task: Any
     """Name, ``module:Class``, or a `Task`."""
     scenes: Any
@@ -27,7 +26,7 @@ class EnvRecipe:
 
     def make(self) -> Any:
         """Make the environment anew; it has not been reset."""
-        return load_reference(MAKE)(self.task, self.scenes, **self.options)
+        return load_reference(self.function)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:
         """Return the specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
@@ -45,8 +44,8 @@ class EnvRecipe:
         kwargs.pop("render_mode", None)
         return EnvSpec(
             id=f"h3data/{words}-v0",  # of built-in tasks one of h3data.envs.IDS
-            entry_point=MAKE,
-            vector_entry_point=MAKE,
+            entry_point=self.function,
+            vector_entry_point=self.function,
             kwargs=kwargs,
         )
 

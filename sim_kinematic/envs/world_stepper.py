@@ -423,7 +423,7 @@ class WorldStepper:
         return [episode for play in self.plays for episode in play.episodes]
 
     def info(self, agent: str) -> Info:
-        """Facts of the task about all worlds (`Task.info_of`), the same for every agent.
+        """Return facts of the task about all worlds (`Task.info_of`), the same for every agent.
 
         For an agent with skills they are its last skill, the objects, and the choices that are possible now.
         """

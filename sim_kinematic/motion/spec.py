@@ -70,7 +70,7 @@ class BaseSpec:
     it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
-        """Returns how far the base may get in one step of ``dt`` [s], obstacles pushing it or not [m]."""
+        """Return how far the base may get in one step of ``dt`` [s], obstacles pushing it or not [m]."""
         return math.hypot(self.max_speed_mps, self.max_lateral_mps) * dt if self.keeps_speed else math.inf
 
 

@@ -34,7 +34,7 @@ class _Arrays:
         return len(self.arrays()[0])
 
     def arrays(self) -> list[NDArray[Any]]:
-        """All its arrays, those of agents first, in a fixed order."""
+        """Return all its arrays, those of agents first, in a fixed order."""
         return list(vars(self).values())
 
     def take(self, worlds: Worlds) -> Self:
@@ -193,7 +193,7 @@ class WorldState(_Arrays):
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
-        """All arrays of the state, in a fixed order."""
+        """Return all arrays of the state, in a fixed order."""
         own = [self.object_pose, self.held_by, self.grip_pose, self.joint_pos]
         return [array for agent in self.agents for array in agent.arrays()] + own
 

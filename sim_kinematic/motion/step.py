@@ -34,13 +34,13 @@ APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
 
 @kernel(error_model="numpy")
 def wrap_angle(angle):
-    """The angle in [-pi, pi)."""
+    """Return the angle in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @kernel(error_model="numpy", inline="always")  # called, it would count references: `drive_base` is 15% faster
 def least_clearance(sdf, origin, cell, x, z, heading, offsets):
-    """Smallest signed distance [m] from the centres of the base's discs to an obstacle."""
+    """Return the smallest signed distance [m] from the centres of the base's discs to an obstacle."""
     c, s = math.cos(heading), math.sin(heading)
     least = math.inf
     for offset in offsets:
@@ -50,13 +50,13 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 @kernel(error_model="numpy", inline="always")
 def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
-    """Returns whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
+    """Return whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
     return are_clear(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets, radius)
 
 
 @kernel(error_model="numpy", inline="always")
 def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
-    """Returns the same as `is_clear` of a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the same as `is_clear` of a heading whose cosine ``c`` and sine ``s`` are known."""
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
             return False
@@ -65,7 +65,7 @@ def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
 
 @kernel(error_model="numpy", inline="always")
 def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
-    """Moves a base until its discs keep their radius from obstacles, as far as possible.
+    """Move a base until its discs keep their radius from obstacles, as far as possible.
 
     Returns ``(x, z, clearance)``: the new position, and the `least_clearance` there.
     """
@@ -93,7 +93,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 
 @kernel(error_model="numpy")
 def integrate(x, z, heading, speed, lateral, turn, dt):
-    """Returns the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
+    """Return the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
 
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """
@@ -146,7 +146,7 @@ def drive_base(
 
 @kernel(error_model="numpy")
 def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
-    """Moves a disc from (x, z) towards (tx, tz) without entering other discs ``(x, z, radius)`` [N, 3].
+    """Move a disc from (x, z) towards (tx, tz) without entering other discs ``(x, z, radius)`` [N, 3].
 
     It slides along them as along walls. A disc that overlaps another one already may move away from it, but not closer.
 
@@ -205,7 +205,7 @@ def keep_worlds_apart(sdf, origin, cell, before, xz, contact, discs, radius, lim
 
 @kernel(error_model="numpy")
 def first_not_finite(rows):
-    """The first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
+    """Return the first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
     for w in range(rows.shape[0]):
         for k in range(rows.shape[1]):
             if not math.isfinite(rows[w, k]):
@@ -215,7 +215,7 @@ def first_not_finite(rows):
 
 @kernel(error_model="numpy")
 def velocities(action, limits):
-    """Velocities of an action [2 or 3], each component clipped to -1..1 of its limit.
+    """Return velocities of an action [2 or 3], each component clipped to -1..1 of its limit.
 
     ``limits`` are speed [m/s], lateral speed [m/s], turn rate [rad/s], and the share of the speed allowed backwards.
     Returns ``(speed, lateral, turn)``.
@@ -261,7 +261,7 @@ def _drive_worlds(
 
 @kernel(error_model="numpy")
 def _aim_worlds(xz, heading, action, limits, dt, goals, drives):
-    """Writes the poses that bases would reach without obstacles to ``goals`` [W, 3], and whether they move to ``drives``."""
+    """Write the poses that bases would reach without obstacles to ``goals`` [W, 3], and whether they move to ``drives``."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
@@ -281,7 +281,7 @@ def drive_robots(
     dt: float = STEP_S,
     finder: Any = None,
 ) -> None:
-    """Moves a robot in all its worlds by one step, in place.
+    """Move a robot in all its worlds by one step, in place.
 
     On stairs and right before them robots drive at `STAIRS_SHARE` of the commanded velocity.
 
@@ -373,7 +373,7 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 
 @lru_cache(maxsize=64)
 def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
-    """Returns the offsets as an array, cached: to make one takes a tenth of the step of one world."""
+    """Return the offsets as an array, cached: to make one takes a tenth of the step of one world."""
     return np.array(disc_offsets_m)
 
 

@@ -45,7 +45,7 @@ STAIRS_SHARE = 0.5
 
 @kernel(error_model="numpy")
 def point_along(path, cumulative, along):
-    """The point of the path ``along`` [m] from its beginning."""
+    """Return the point of the path ``along`` [m] from its beginning."""
     k = 1
     while k < len(path) - 1 and cumulative[k] < along:
         k += 1
@@ -59,7 +59,7 @@ def point_along(path, cumulative, along):
 
 @kernel(error_model="numpy")
 def next_waypoint_index(cumulative, along):
-    """Number of the first way point beyond ``along`` [m], at most the last one."""
+    """Return the number of the first way point beyond ``along`` [m], at most the last one."""
     k = 1
     while k < len(cumulative) - 1 and cumulative[k] <= along + 1e-9:
         k += 1
@@ -68,7 +68,7 @@ def next_waypoint_index(cumulative, along):
 
 @kernel(error_model="numpy")
 def _bearing(x, z, heading, to_x, to_z):
-    """The angle [rad] from a heading to a point, positive to the left."""
+    """Return the angle [rad] from a heading to a point, positive to the left."""
     if math.hypot(to_x - x, to_z - z) < 1e-6:
         return 0.0
     return wrap_angle(math.atan2(-(to_z - z), to_x - x) - heading)
@@ -76,7 +76,7 @@ def _bearing(x, z, heading, to_x, to_z):
 
 @kernel(error_model="numpy")
 def progress_along(path, cumulative, along, x, z):
-    """Returns the distance along the path [m] of the nearest point that is not behind ``along``."""
+    """Return the distance along the path [m] of the nearest point that is not behind ``along``."""
     total = cumulative[-1]
     px, pz = point_along(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
@@ -109,7 +109,7 @@ def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
 def stride_step(
     sdf, origin, cell, heights, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt
 ):
-    """Walks one step along a path, in place, and returns whether the end has been reached.
+    """Walk one step along a path, in place, and return whether the end has been reached.
 
     Args:
         sdf: signed distances of the floor's grid [m].
@@ -214,7 +214,7 @@ def stride_step(
 def stride_track(
     sdf, origin, cell, heights, radius, path, cumulative, halts, state, speed, limits, patience, dt, track
 ):
-    """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
+    """Walk the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); return the number of steps."""
     for k in range(len(track)):
         there = stride_step(
             sdf,
@@ -289,7 +289,7 @@ class Strider:
         return bisect_left(self._lengths, self._state.item(5) + PROGRESS_M)
 
     def begin(self, path: Array, *, facing: float | None = None) -> None:
-        """Sets the path [K, 2] from the present position; speed and turn rate continue.
+        """Set the path [K, 2] from the present position; speed and turn rate continue.
 
         The person arrives with the heading ``facing`` [rad], as far as they can turn on the last steps.
         """
@@ -305,7 +305,7 @@ class Strider:
         self.arrived = False
 
     def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
-        """Returns where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
+        """Return where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
         self.arrived = self.free.entries(

@@ -8,14 +8,12 @@ A name is looked up in the task, in the policies of every task (`COMMON`), and i
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
-from h3data.recording import Body
 from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import HandWork
@@ -29,7 +27,7 @@ from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 Task = Any
 """`sim_kinematic.tasks.task.Task`, which lies above policies."""
 Episode = Any
-"""`sim_kinematic.tasks.task.Episode`."""
+"""`sim_kinematic.tasks.episode.Episode`, which lies above policies."""
 
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
@@ -82,7 +80,7 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def takes_commands(self) -> bool:
-        """Return whether somebody outside decides, now or in the recording that is played again."""
+        """Return whether commands from outside decide, given now or read from a recording that is simulated again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
     @property
@@ -96,16 +94,6 @@ def works(policy: AssignedPolicy) -> HandWork | None:
     return getattr(policy.policy, "hands", None)
 
 
-def handled_things(policies: Sequence[AssignedPolicy], roster: Sequence[Any]) -> list[Body]:
-    """Return the things that people bring along, in the order of the agents, each with its owner's name before its own."""
-    things = [
-        (f"{member.name}_{thing.name}", thing)
-        for member, policy in zip(roster, policies, strict=True)
-        for thing in (works(policy) or HandWork()).things
-    ]
-    return [replace(thing, name=name, moving=k) for k, (name, thing) in enumerate(things)]
-
-
 def is_address(name: str) -> bool:
     """Return whether the name of a policy is the address of a policy server."""
     # a scheme as in RFC 3986, section 3.1, in lower case; weights:FILE lacks the two slashes
@@ -115,8 +103,8 @@ def is_address(name: str) -> bool:
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
 """The name of a policy, ``weights:FILE``, ``module:name``, ``ws://host:port``; a policy; a function ``(view, base)``;
 `External` for somebody who decides outside."""
-Chosen = str | Any | Sequence[Any]
-Assigned = Mapping[str, Chosen]
+Assigned = Mapping[str, Any]
+"""Policies by agent or kind: a `PolicyChoice`, or a sequence with one for each agent of a kind."""
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
 
 
@@ -144,7 +132,9 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     if task.usage.can_be_solo and chosen.get("robot") == SOLO:
         del chosen["robot"]  # the episode has no robot
     names = [member.name for member in members]
-    strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
+    # ``person_2`` stands for ``human_2``
+    aliases = {name.replace("human", "person", 1): name for name in names if name.startswith("human")}
+    strangers = [key for key in chosen if key not in names and key not in KINDS and key not in aliases]
     if strangers:
         raise InputError(
             f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}",
@@ -155,7 +145,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
         if kind is None:
-            picked[names.index(_alias(key, names) or key)] = choice
+            picked[names.index(aliases.get(key, key))] = choice
             continue
         numbers = [k for k, member in enumerate(members) if member.kind == kind]
         for number, one in zip(numbers, each_of(choice, len(numbers), kind), strict=True):
@@ -169,13 +159,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
     return made
 
 
-def _alias(key: str, names: Sequence[str]) -> str:
-    """Return the agent's name that an alias stands for, as ``person_2`` does for ``human_2``; else empty."""
-    name = key.replace("person", "human", 1)
-    return name if name in names and key.startswith("person") else ""
-
-
-def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
+def each_of(choice: Any, count: int, kind: str) -> list[Any]:
     """Return one choice for each of ``count`` agents: one name for all, or one for each, as a sequence or separated by commas.
 
     Raises:

@@ -28,7 +28,7 @@ class Maneuvering:
         self._function, self._base = function, base
         self.__name__ = function.__name__
         self._still = 0
-        """Steps for which the base has not moved though it wanted to find or follow the person."""
+        """Number of steps for which the base has not moved though it wanted to find or follow the person."""
         self._commands: list[tuple[float, float]] = []
 
     def act(self, view: SocialNavView) -> Velocity:

@@ -53,7 +53,7 @@ class Network:
 
     def __post_init__(self) -> None:
         # here and not in the readers of files, so that networks made by hand or by training are checked too
-        faults = _faults(self)
+        faults = self._faults()
         if faults:
             raise InputError(f"These layers make no network: {'; '.join(faults)}.", code="H3-POLICY-025")
 
@@ -99,35 +99,37 @@ class Network:
         sizes = " - ".join(str(n) for n in (self.inputs, *(len(b) for b in self.biases)))
         return f"Network({self.task}, {', '.join(self.observations)}: {sizes}, {self.activation})"
 
-
-def _faults(net: Network) -> list[str]:
-    """Return parts of a network that do not fit together, in words."""
-    faults: list[str] = []
-    if net.activation not in get_args(Activation):
-        faults.append(f"the activation is {net.activation!r}, expected one of {', '.join(get_args(Activation))}")
-    if not net.observations:
-        faults.append("it has no observations")
-    if not net.weights or len(net.weights) != len(net.biases):
-        return [*faults, f"{len(net.weights)} weights and {len(net.biases)} biases, expected as many, at least one"]
-    # from layer to layer: the outputs of one are the inputs of the next
-    # -1 fits no layer: all faults are collected, and none raises here
-    width = net.weights[0].shape[1] if net.weights[0].ndim == 2 else -1
-    for name in ("mean", "scale"):
-        shape = getattr(net, name).shape
-        if shape not in ((1,), (width,)):
-            faults.append(f"{name} has the shape {list(shape)}, expected [1] or [{width}]")
-    for k, (weight, bias) in enumerate(zip(net.weights, net.biases, strict=True)):
-        if weight.ndim != 2 or bias.ndim != 1 or weight.shape != (len(bias), width) or not weight.size:
-            faults.append(
-                f"layer {k} has weights {list(weight.shape)} and biases {list(bias.shape)} for {width} inputs"
-            )
-        width = bias.shape[0] if bias.ndim else -1
-    arrays = (*net.weights, *net.biases, net.mean, net.scale)
-    if any(a.dtype != np.float32 for a in arrays):
-        faults.append("all arrays must be float32")
-    elif not all(np.isfinite(a).all() for a in arrays) or not (net.scale > 0).all():
-        faults.append("all numbers must be finite, and the scale positive")
-    return faults
+    def _faults(self) -> list[str]:
+        """Return parts of a network that do not fit together, in words."""
+        faults: list[str] = []
+        if self.activation not in get_args(Activation):
+            faults.append(f"the activation is {self.activation!r}, expected one of {', '.join(get_args(Activation))}")
+        if not self.observations:
+            faults.append("it has no observations")
+        if not self.weights or len(self.weights) != len(self.biases):
+            return [
+                *faults,
+                f"{len(self.weights)} weights and {len(self.biases)} biases, expected as many, at least one",
+            ]
+        # from layer to layer: the outputs of one are the inputs of the next
+        # -1 fits no layer: all faults are collected, and none raises here
+        width = self.weights[0].shape[1] if self.weights[0].ndim == 2 else -1
+        for name in ("mean", "scale"):
+            shape = getattr(self, name).shape
+            if shape not in ((1,), (width,)):
+                faults.append(f"{name} has the shape {list(shape)}, expected [1] or [{width}]")
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if weight.ndim != 2 or bias.ndim != 1 or weight.shape != (len(bias), width) or not weight.size:
+                faults.append(
+                    f"layer {k} has weights {list(weight.shape)} and biases {list(bias.shape)} for {width} inputs"
+                )
+            width = bias.shape[0] if bias.ndim else -1
+        arrays = (*self.weights, *self.biases, self.mean, self.scale)
+        if any(a.dtype != np.float32 for a in arrays):
+            faults.append("all arrays must be float32")
+        elif not all(np.isfinite(a).all() for a in arrays) or not (self.scale > 0).all():
+            faults.append("all numbers must be finite, and the scale positive")
+        return faults
 
 
 # --- PyTorch ------------------------------------------------------------------------------------------------------------

@@ -156,7 +156,7 @@ class RearrangeView(NamedTuple):
     open_parts: NDArray[np.bool_] = np.zeros(0, np.bool_)
     """True for those of them that stand at least ajar, [M]."""
     handles: NDArray[np.float64] = np.zeros((0, 3))
-    """Places of their handles at rest, [M, 3] [m]."""
+    """Places of the handles of doors and drawers at rest, [M, 3] [m]."""
 
     def is_known(self, k: int) -> bool:
         """Return whether the agent knows where an object is."""

@@ -41,15 +41,3 @@ def scan(m: Any, *, legs: bool) -> Any:
     if not circles.shape[-2]:
         return reach
     return xp.minimum(reach, distance_to_circles(m.now.xz, headings, circles, xp=xp).clip(None, LIDAR_M))
-
-
-def scanner_facts(robot: Any) -> dict[str, Any]:
-    """Return the geometry of the 3-D scanner of a robot, as recordings state it: unit, frame, bounds, elevations and height."""
-    return {
-        "unit": "m",
-        "frame": "lidar",
-        "low": 0.0,
-        "high": SCAN_M,
-        "elevation_deg": list(ELEVATION_DEG),
-        "height_m": float(robot.body_height_m),
-    }

@@ -42,7 +42,7 @@ RANGE_M = 2.0
 
 
 def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> Any:
-    """Depth [m], an array or a tensor of any shape, clipped to ``limits_m`` and scaled to 0..1."""
+    """Return the depth [m], an array or a tensor of any shape, clipped to ``limits_m`` and scaled to 0..1."""
     near, far = limits_m
     return (depth.clip(near, far) - near) / (far - near)
 
@@ -78,7 +78,7 @@ def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -
 
 
 def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Array, Array]:
-    """Vectors [..., 2] from places to others, and headings [...] of the same shape, or one for all of them."""
+    """Return vectors [..., 2] from places to others, and headings [...] of the same shape, or one for all of them."""
     gap, heading = np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64), np.asarray(heading, np.float64)
     if (heading.size > 1 or heading.ndim >= gap.ndim) and gap.shape[:-1] != heading.shape:
         shape = np.broadcast_shapes(gap.shape[:-1], heading.shape)
@@ -89,7 +89,10 @@ def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Array
 
 @kernel(error_model="numpy")
 def _in_frames(gap, heading):
-    """Vectors [N, 2] in base frames with headings [N or 1]; compiled, as `_facing`: for a few NumPy is five times slower."""
+    """Return vectors [N, 2] in base frames with headings [N or 1].
+
+    It is compiled as `_facing` is: for a few vectors NumPy is five times slower.
+    """
     out, last = np.empty_like(gap), len(heading) - 1
     for n in range(len(gap)):
         x, z = math.cos(heading[min(n, last)]), -math.sin(heading[min(n, last)])

@@ -31,7 +31,7 @@ THING_M, PLACE_M = 8.0, 5.0
 NEAR_M = 1.2
 """Distance within which an agent sees in all directions [m]: it turns its head."""
 LOOK_STEPS = 6
-"""Steps from one look to the next."""
+"""Number of steps from one look to the next."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
 MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
@@ -45,7 +45,7 @@ class Places(NamedTuple):
     points: NDArray[np.float64]
     """Middle of each surface, [S, 3] [m]."""
     looked: Flags
-    """True if the agent has looked at it, [S]."""
+    """True for each surface at which the agent has looked, [S]."""
     shut: NDArray[np.int64]
     """Number of the door or drawer that has to be opened first, [S]; -1: none."""
 
@@ -58,7 +58,7 @@ class Boxes(NamedTuple):
     centers: NDArray[np.float64]
     """Middle of each [B, 3] [m]."""
     halves: NDArray[np.float64]
-    """Half of its size [B, 3] [m]."""
+    """Half of the size of each box, [B, 3] [m]."""
     bounds: NDArray[np.float64]
     """Bounds of the furniture of each box, or of the box itself, from the middle of the box [B, 2, 3] [m]."""
 
@@ -143,7 +143,7 @@ class Sight:
         return changes
 
     def sees(self, eye: NDArray[np.float64], heading: float, points: NDArray[np.float64], things: int) -> Flags:
-        """Which world points [N, 3] an eye [3] of an agent that faces a heading [rad] sees; the first ``things`` are things."""
+        """Return which points [N, 3] an eye [3] sees that looks along a heading [rad]; the first ``things`` are things."""
         seen = np.empty(len(points), np.bool_)
         _see(eye, float(heading), points, things, *self.boxes, seen)
         return seen

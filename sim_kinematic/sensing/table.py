@@ -37,8 +37,6 @@ from sim_kinematic.sensing.sensor import (
 if TYPE_CHECKING:
     from sim_kinematic.world import World
 
-JOINT_MOST = 10.0
-"""Bound of joint positions [rad or m]."""
 NEARER_M = 3.0
 """Largest distance by which an agent can get nearer to anything within a second [m]."""
 AHEAD_M = (1.0, 2.5)
@@ -269,12 +267,11 @@ def _gps(points: Callable[[Context], Any]) -> Sensor:
     return Sensor(lambda m: _polar_of(m, points(m)[..., 0:3:2]), **_POLAR, times="objects")
 
 
-def _in_hand(points: Callable[[Context], Any]) -> Sensor:
-    return Sensor(lambda m: _flat(m, m.in_hand(points(m))), **_POINT, frame="hand", times="objects")
+def _in_frame(frame: Literal["hand", "start"], points: Callable[[Context], Any]) -> Sensor:
+    def seen(m: Context) -> Any:
+        return _flat(m, m.in_hand(points(m)) if frame == "hand" else m.from_start(points(m)))
 
-
-def _from_start(points: Callable[[Context], Any]) -> Sensor:
-    return Sensor(lambda m: _flat(m, m.from_start(points(m))), **_POINT, frame="start", times="objects")
+    return Sensor(seen, **_POINT, frame=frame, times="objects")
 
 
 def _one_of_choices(outcome: Ending) -> Sensor:
@@ -300,11 +297,6 @@ def _path_ahead(*, other: bool) -> Sensor:
     # one unit of the sensor has a distance and an angle for each of the points
     unit: Any = {name: side * len(AHEAD_M) for name, side in _POLAR.items() if name != "frame"}
     return Sensor(seen, **unit, frame="base", times="objects", of_other=other)
-
-
-def _approach(m: Context) -> Any:
-    """Return how much shorter per second the other's path to each object became over their known track [..., K] [m]."""
-    return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
 
 
 def _lidar(*, legs: bool) -> Sensor:
@@ -359,12 +351,12 @@ TABLE: Mapping[str, Sensor] = {
     ),
     "collision": Sensor(lambda m: m.xp.stack([m.contact, m.touching], -1), (0.0,) * 2, (1.0,) * 2),
     "is_holding": Sensor(lambda m: (m.held_by == m.agent).any(-1)[..., None], **_FLAG),
-    "arm_joints": Sensor(lambda m: m.arm, (-JOINT_MOST,), (JOINT_MOST,), ("rad",), times="joints"),
+    "arm_joints": Sensor(lambda m: m.arm, (-10.0,), (10.0,), ("rad",), times="joints"),
     # of rearrangement
     "obj_start_gps_compass": _gps(lambda m: m.starts),
     "obj_goal_gps_compass": _gps(lambda m: m.goals),
-    "obj_start_sensor": _in_hand(lambda m: m.starts),
-    "obj_goal_sensor": _in_hand(lambda m: m.goals),
+    "obj_start_sensor": _in_frame("hand", lambda m: m.starts),
+    "obj_goal_sensor": _in_frame("hand", lambda m: m.goals),
     "other_agent_gps": Sensor(
         lambda m: other_agent_gps(m.now.xz, m.other.xz, xp=m.xp),
         (-FAR_M,) * 2,
@@ -374,15 +366,15 @@ TABLE: Mapping[str, Sensor] = {
         of_other=True,
     ),
     "obj_gps_compass": _gps(lambda m: m.objects),
-    "obj_sensor": _in_hand(lambda m: m.objects),
+    "obj_sensor": _in_frame("hand", lambda m: m.objects),
     "holds": Sensor(lambda m: m.held_by == m.agent, **_FLAG, times="objects"),
     "held_by_other": Sensor(lambda m: (m.held_by != m.agent) & (m.held_by != NOBODY), **_FLAG, times="objects"),
     "at_goal": Sensor(lambda m: m.at_goal, **_FLAG, times="objects"),
     "other_gps_compass": _OTHER_GPS,
     "close": Sensor(lambda m: m.close[..., None], **_FLAG, of_other=True),
-    "obj_start_in_start_frame": _from_start(lambda m: m.starts),
-    "obj_goal_in_start_frame": _from_start(lambda m: m.goals),
-    "obj_in_start_frame": _from_start(lambda m: m.objects),
+    "obj_start_in_start_frame": _in_frame("start", lambda m: m.starts),
+    "obj_goal_in_start_frame": _in_frame("start", lambda m: m.goals),
+    "obj_in_start_frame": _in_frame("start", lambda m: m.objects),
     "last_done": _one_of_choices("done"),
     "interrupted": _one_of_choices("aborted"),
     "last_failed": _one_of_choices("failed"),
@@ -392,7 +384,15 @@ TABLE: Mapping[str, Sensor] = {
     "other_way_to_goals": _ways("goals", other=True),
     "other_from_starts": _other_from(lambda m: m.starts),
     "other_from_goals": _other_from(lambda m: m.goals),
-    "other_approach": Sensor(_approach, (-NEARER_M,), (NEARER_M,), ("m",), times="objects", of_other=True),
+    # by how much the other's path to each object has become shorter within a second
+    "other_approach": Sensor(
+        lambda m: (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M),
+        (-NEARER_M,),
+        (NEARER_M,),
+        ("m",),
+        times="objects",
+        of_other=True,
+    ),
     "path_ahead": _path_ahead(other=False),
     "other_path_ahead": _path_ahead(other=True),
     "other_velocity": _OTHER_VELOCITY,
@@ -411,10 +411,6 @@ LIDARS = ("lidar", "lidar_legs")
 """Laser scanners that see agents, as discs or by their legs."""
 
 
-def _rows(*names: str) -> Mapping[str, Sensor]:
-    return {name: TABLE[name] for name in names}
-
-
 OF_SKILLS = (
     "way",
     "range_scan",
@@ -427,27 +423,25 @@ OF_SKILLS = (
 )
 """Observations that a learned skill may have besides a picture."""
 # the order of the table counts here: rows up to ``arm_joints`` are those of any agent
-SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
+SENSORS: Mapping[str, Sensor] = {name: TABLE[name] for name in list(TABLE)[: list(TABLE).index("arm_joints") + 1]}
 """Sensors of agents of any task whose agents drive and walk."""
 # those left out need fields that `RearrangeContext` lacks, or are other_velocity by another name
-SENSES = _rows(
-    *(
-        name
-        for name in TABLE
-        if name
-        not in (
-            "humanoid_velocity",
-            "way",
-            "range_scan",
-            *LIDARS,
-            "part_gps_compass",
-            "part_is_open",
-            "target_gps_compass",
-            "target_sensor",
-            "resting_sensor",
-        )
+SENSES: Mapping[str, Sensor] = {
+    name: sensor
+    for name, sensor in TABLE.items()
+    if name
+    not in (
+        "humanoid_velocity",
+        "way",
+        "range_scan",
+        *LIDARS,
+        "part_gps_compass",
+        "part_is_open",
+        "target_gps_compass",
+        "target_sensor",
+        "resting_sensor",
     )
-)
+}
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
-from h3data.recording import STEP_NS, Event, SkillSpan
+from h3data.recording import STEP_NS, Body, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
+from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
@@ -39,7 +41,7 @@ class Rules(Protocol):
 
     @property
     def codec(self) -> Any:
-        """Says whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
+        """Say whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
         ...
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
@@ -95,7 +97,8 @@ class WorldRollout:
             raise InputError(
                 f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
             )
-        self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
+        self.task: Any = task
+        self.spec, self.measure, self.options = spec, measure, dict(options or {})
         self.world = World(
             roster,
             worlds=worlds,
@@ -119,6 +122,8 @@ class WorldRollout:
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
         self.policies: list[AssignedPolicy] = []
+        self.things: list[Body] = []
+        """Things that people bring along, in the order of the agents, each with its owner's name before its own."""
         self.ended = "max_steps"
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
@@ -138,7 +143,7 @@ class WorldRollout:
     def of(
         cls, task: Rules, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
     ) -> WorldRollout:
-        """One episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+        """Return one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
 
         ``measure=False`` leaves out what only rewards need.
 
@@ -151,16 +156,21 @@ class WorldRollout:
                 code="H3-TASK-016",
             )
         has_skills = task.control.has_skills
+        things = [
+            replace(thing, name=f"{member.name}_{thing.name}")
+            for member, policy in zip(episode.roster, policies, strict=True)
+            for thing in (works(policy) or HandWork()).things
+        ]
         play = cls(
             task,
             episode.spec,
             episode.roster,
             measure=measure,
             # without skills and chores nothing moves the things of a home, so they are no part of the state
-            objects=len(episode.moving) if has_skills else len(handled_things(policies, episode.roster)),
+            objects=len(episode.moving) if has_skills else len(things),
             scene_joints=len(joint_names(episode.scene)) if has_skills or any(map(works, policies)) else 0,
         )
-        play.policies = list(policies)
+        play.policies, play.things = list(policies), [replace(thing, moving=k) for k, thing in enumerate(things)]
         play.begin([episode])
         return play
 
@@ -209,8 +219,41 @@ class WorldRollout:
         outcome = self.task.judge(self)
         # the first outcome is always checked, the others where rewards are used
         if not self._checked or self._checks:
-            outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
+            outcome, self._checked = self._checked_outcome(outcome), True
         self.outcome = outcome
+        return outcome
+
+    def _checked_outcome(self, outcome: Any) -> StepOutcome:
+        """Return the outcome, if its arrays are [W], finite, and of the declared columns.
+
+        Raises:
+            H3DataError: The outcome has another form, which is a fault of the task; the message names it and the field.
+        """
+        task, worlds = self.task, self.world.worlds
+        who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
+        if not isinstance(outcome, StepOutcome):
+            raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
+        for name in ("reward", "terminated", "success"):
+            values = np.asarray(getattr(outcome, name))
+            if values.shape != (worlds,):
+                raise H3DataError(
+                    f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
+                )
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise H3DataError(
+                    f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
+                )
+        strange = sorted(set(outcome.columns) ^ set(task.columns))
+        if strange:
+            raise H3DataError(
+                f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+            )
+        for name, values in outcome.columns.items():
+            if np.shape(values)[:1] != (worlds,):
+                raise H3DataError(
+                    f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
+                    code="H3-TASK-008",
+                )
         return outcome
 
     @property
@@ -388,39 +431,6 @@ def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Column
             if chosen := [n for other, n in mine if kinds[other] == kind]:
                 columns[f"metrics.collision_{name}"] = touching[:, chosen]
     return columns
-
-
-def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
-    """Return the outcome, if its arrays are [W], finite, and of the declared columns.
-
-    Raises:
-        H3DataError: The outcome has another form, which is a fault of the task; the message names it and the field.
-    """
-    who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
-    if not isinstance(outcome, StepOutcome):
-        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
-    for name in ("reward", "terminated", "success"):
-        values = np.asarray(getattr(outcome, name))
-        if values.shape != (worlds,):
-            raise H3DataError(
-                f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
-            )
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(
-                f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
-            )
-    strange = sorted(set(outcome.columns) ^ set(task.columns))
-    if strange:
-        raise H3DataError(
-            f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
-        )
-    for name, values in outcome.columns.items():
-        if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(
-                f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
-                code="H3-TASK-008",
-            )
-    return outcome
 
 
 class AgentSensors(NamedTuple):

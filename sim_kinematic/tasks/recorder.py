@@ -5,7 +5,7 @@ Steps become blocks of columns that go to a sink; events, skills and raw input a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -17,7 +17,7 @@ from h3data.bodies.names import JOIN, walk_attachments, walk_facts
 from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
-    Agent,
+    Body,
     Event,
     InputEvent,
     Recording,
@@ -26,15 +26,14 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.recording.assets.scenes import scene_attachment, scene_records
+from h3data.recording.assets.scenes import categories_of, scene_attachment, scene_records
 from h3data.recording.scans import scan_column
-from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.crowd.errands import HandWork
-from sim_kinematic.policies.assignment import AssignedPolicy, handled_things, works
+from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
-from sim_kinematic.sensing.lidar import scanner_facts
+from sim_kinematic.sensing.lidar import ELEVATION_DEG, SCAN_M
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.registry import reference_of
@@ -90,14 +89,24 @@ class RecordedSensors:
         """Sensor, agent, unit, frame and bounds of each column."""
         self._types: dict[str, type] = {}
         for k in self._robots:
-            known = AgentSensors.of(task, roster[k], objects=0)
+            member = roster[k]
+            known = AgentSensors.of(task, member, objects=0)
             # of all pictures only laser scans become columns
             known = known._replace(pictures=known.pictures & {LIDAR_3D})
             known.check(self._names)
             for name in self._names:
                 column = scan_column(k, name)
                 if name == LIDAR_3D:
-                    self.facts[column] = {"sensor": name, "agent": k, **scanner_facts(roster[k].body)}
+                    self.facts[column] = {
+                        "sensor": name,
+                        "agent": k,
+                        "unit": "m",
+                        "frame": "lidar",
+                        "low": 0.0,
+                        "high": SCAN_M,
+                        "elevation_deg": list(ELEVATION_DEG),
+                        "height_m": float(member.body.body_height_m),  # type: ignore[union-attr]
+                    }
                     self._types[column] = np.float32
                     continue
                 sensor, (low, high) = known.sensors[name], known.limits[name]
@@ -159,6 +168,34 @@ class Recorder:
     _beside: list[tuple[np.generic, ...]] = field(default_factory=list)
     _count: int = 0
 
+    @classmethod
+    def of(
+        cls,
+        play: WorldRollout,
+        sink: Callable[[RecordingHeader], Sink] | None = None,
+        *,
+        episode_id: str = "0",
+        info: Mapping[str, Any] | None = None,
+        sensors: Sequence[str] = (),
+    ) -> Recorder:
+        """Return the recorder of an episode that is about to begin.
+
+        Args:
+            play: Episode with its policies, before the first step.
+            sink: Called once with the header; returns what receives rows and events while they come.
+            episode_id: Name of the episode within its dataset.
+            info: Entries of the recording's info that the caller knows from the start.
+            sensors: Names of sensors of robots that are recorded with every step.
+
+        Raises:
+            InputError: There is no robot, or it has no sensor of such a name.
+        """
+        measured = RecordedSensors(play.task, play.world.roster, sensors) if sensors else None
+        header = describe(play.task, play.episode, play.policies, episode_id=episode_id, things=play.things)
+        if info:
+            header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
+        return cls(header, play, sink(header) if sink is not None else None, sensors=measured)
+
     def __len__(self) -> int:
         return self._count + len(self._rows)
 
@@ -201,7 +238,7 @@ class Recorder:
         columns = self.columns()
         self._take()
         # agents that report a skill in every step have no spans yet: their columns have all of them
-        for span in () if self.skills else skill_spans(columns, self.header.agents):
+        for span in () if self.skills else self._spans_in(columns):
             self._skill(span)
         recording = finished(self.header, columns, info, self.skills, self.events, self.inputs)
         if self.sink is not None:
@@ -228,6 +265,24 @@ class Recorder:
         self.skills.append(span)
         if self.sink is not None:
             self.sink.skill(span)
+
+    def _spans_in(self, columns: Columns) -> Sequence[SkillSpan]:
+        """Return the runs of equal codes in each agent's ``skill`` column, as spans."""
+        spans = []
+        for index, agent in enumerate(self.header.agents):
+            codes = columns.get(f"agent_{index}.skill")
+            if codes is None or not len(codes):
+                continue
+            # a value unlike the first, so that the first row begins a run
+            starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
+            ends = np.append(starts[1:], len(codes)) - 1
+            spans += [
+                SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
+                for a, b in zip(starts, ends, strict=True)
+                # -1 is a step in which the agent reports no skill
+                if codes[a] >= 0
+            ]
+        return spans
 
     def _close_block(self) -> None:
         if not self._rows:
@@ -271,9 +326,17 @@ def finished(
 
 # --- the header -------------------------------------------------------------------------------------------------------
 def describe(
-    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0"
+    task: Task,
+    episode: Episode,
+    policies: Sequence[AssignedPolicy],
+    *,
+    episode_id: str = "0",
+    things: Sequence[Body] = (),
 ) -> RecordingHeader:
-    """Return the header of a recording, known before the first step: agents, bodies, scene and rules."""
+    """Return the header of a recording, known before the first step: agents, bodies, scene and rules.
+
+    ``things`` are those that people bring along (`WorldRollout.things`).
+    """
     scene = episode.scene
     (file, digest), (assets, bodies) = scene_attachment(scene), scene_records(scene)
     info = {
@@ -328,29 +391,10 @@ def describe(
             else body
             for body in bodies
         )
-        + tuple(handled_things(policies, episode.roster)),
+        + tuple(things),
         agents=tuple(
             task.control.recorded_agent(member, episode, is_external=policy.is_external)
             for member, policy in zip(episode.roster, policies, strict=True)
         ),
         attachments={"scene.glb": file, **walks},
     )
-
-
-def skill_spans(columns: Mapping[str, NDArray[Any]], agents: Sequence[Agent]) -> tuple[SkillSpan, ...]:
-    """Return the runs of equal codes in each agent's ``skill`` column, as spans."""
-    spans = []
-    for index, agent in enumerate(agents):
-        codes = columns.get(f"agent_{index}.skill")
-        if codes is None or not len(codes):
-            continue
-        # a value unlike the first, so that the first row begins a run
-        starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
-        ends = np.append(starts[1:], len(codes)) - 1
-        spans += [
-            SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
-            for a, b in zip(starts, ends, strict=True)
-            # -1 is a step in which the agent reports no skill
-            if codes[a] >= 0
-        ]
-    return tuple(spans)

@@ -151,7 +151,10 @@ def resume(
     Raises:
         InputError: There is no such step or policy, or the recorded states before it do not come out again.
     """
-    chosen = {**_by_kind(policy, partner), **(agents or {})}
+    chosen = {
+        **{kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None},
+        **(agents or {}),
+    }
     if is_counterfactual(recording):
         if any(KINDS.get(key, "human") == "human" for key in chosen):
             raise InputError(
@@ -175,7 +178,7 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
             "Expected a recording of robots and people: people keep their tracks, robots follow the policy.",
             code="H3-TASK-036",
         )
-    return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
+    return _continued(recording, step, {} if policy is None else {"robot": policy}, keeps_people=True)
 
 
 class AddedTime(NamedTuple):
@@ -323,10 +326,13 @@ class _Played:
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
         """Columns, skills and events of people as recorded, as far as the task says."""
         people = _numbers(recording, "human")
+        # in social_nav ``sim.`` are the goal and the leg of the person's script
+        prefixes = ("sim.", *(f"agent_{k}." for k in people))
         kept = {
             name: recording.columns[name][:rows]
             for name in recording.columns
-            if (name in self.columns and _is_kept(name, people))
+            # what people hold is simulated again
+            if (name in self.columns and name.startswith(prefixes) and not name.endswith("grasp_body"))
             # who keeps a track handles the same things, which the simulation leaves alone
             or name.endswith(".motion_hands")
             or (name in (JOINTS, "object_pose") and not task.control.has_skills)
@@ -346,14 +352,6 @@ class _Played:
         else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
-
-
-def _is_kept(column: str, people: Sequence[int]) -> bool:
-    """Return whether a column of people who keep their tracks is the recorded one. What they hold is simulated again."""
-    # in social_nav these are the goal and the leg of the person's script
-    if column.startswith("sim."):
-        return True
-    return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
 
 
 def _restored(recording: Recording) -> tuple[Task, Episode]:
@@ -437,10 +435,6 @@ def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
             numbers = [k for k, other in enumerate(episode.roster) if other.kind == kind]
             return each_of(new[key], len(numbers), kind)[numbers.index(number)]
     return None
-
-
-def _by_kind(policy: Any, partner: Any) -> dict[str, Any]:
-    return {kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None}
 
 
 def _numbers(recording: Recording, kind: str) -> list[int]:

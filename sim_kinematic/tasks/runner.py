@@ -7,8 +7,7 @@ clock of their own, such as a live server or a learning algorithm.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -23,7 +22,7 @@ from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
+from sim_kinematic.tasks.recorder import Recorder, Sink
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
@@ -116,23 +115,18 @@ def run(
     *,
     steps: int | None = None,
     progress: Callable[[int], object] | None = None,
-    note: Callable[[int, Any], object] | None = None,
 ) -> str:
     """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``, and return the reason why it ended.
 
-    ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
+    ``progress`` is called with 1 after every step.
     """
     # a DecisionLoop plays the first step as soon as it is made
     if steps == 0:
         return play.ended
-    turns, policies, done = DecisionLoop(play), play.policies, 0
+    turns, done = DecisionLoop(play), 0
     while not turns.over:
         if turns.asked is not None:
-            number = turns.asked
-            choice = play.decide(number)
-            if note is not None and _needs_note(policies[number].policy, choice):
-                note(number, choice)
-            turns.answer(choice)
+            turns.answer(_decide(play, recorder, turns.asked))
             continue
         done += 1
         if recorder is not None:
@@ -173,34 +167,30 @@ def simulate(
     Raises:
         InputError: There is no such policy, agent or sensor, or a policy returned no valid choice.
     """
-    assigned = assign(task, episode, policies)
-    measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
-    if measured is not None:
-        info = {**(info or {}), "sensors": measured.facts}
-    header = describe(task, episode, assigned, episode_id=episode_id)
-    play = WorldRollout.of(task, episode, assigned, measure=False)
-    recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
+    play = rollout(task, episode, policies, measure=False)
+    recorder = Recorder.of(play, sink, episode_id=episode_id, sensors=sensors)
     try:
-        run(play, recorder, progress=progress, note=partial(_record, task, recorder))
-        # later entries win: the caller knows better than policies, and these than the task
-        return recorder.finish(
-            {**task.codec.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})}
-        )
+        run(play, recorder, progress=progress)
+        return recorder.finish(_final_info(recorder, info))
     except BaseException:
         # also when the user stops the process: the rows so far stay readable
         recorder.abort()
         raise
 
 
-def _needs_note(policy: Any, choice: Any) -> bool:
-    """Returns whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
-    return isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy)
+def _decide(play: WorldRollout, recorder: Recorder | None, number: int) -> Any:
+    """Return the choice of an agent's policy, and record it as raw input if no column has it."""
+    choice, policy = play.decide(number), play.policies[number].policy
+    # commands of a server to an arm are in no column
+    if recorder is not None and isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy):
+        _record(recorder, number, choice)
+    return choice
 
 
-def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
+def _record(recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
     """Take down a choice as raw input; ``reason``: why it interrupted a running skill."""
     step = len(recorder)
-    payload = {"agent": number, "step": step, "choice": task.control.to_json(choice)}
+    payload = {"agent": number, "step": step, "choice": recorder.play.task.control.to_json(choice)}
     if reason:
         payload["interrupts"] = reason
     recorder.input(
@@ -208,17 +198,20 @@ def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: st
     )
 
 
-def policies_info(policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-    """Return entries of a recording's info that only policies know at the end, such as the times that a server took.
+def _final_info(recorder: Recorder, info: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return entries of a recording's info that are known only at its end: of the task, its policies and the caller.
 
-    A policy with such entries returns them from ``recorded_info()``; lists of several policies are joined.
+    A policy with such entries, for example the times that a server took, returns them from ``recorded_info()``; lists of
+    several policies are joined.
     """
-    found: dict[str, Any] = {}
-    for assigned in policies:
+    play, found = recorder.play, {}
+    for assigned in play.policies:
         facts = getattr(assigned.policy, "recorded_info", None)
         for name, value in (facts() if facts is not None else {}).items():
             found[name] = [*found.get(name, []), *value] if isinstance(value, list) else value
-    return found
+    # later entries win: the caller knows better than policies, and these than the task
+    measured = {} if recorder.sensors is None else {"sensors": recorder.sensors.facts}
+    return {**play.task.codec.final_info(play.episode, play, play.policies), **found, **(info or {}), **measured}
 
 
 # --- callers that bring their own clock -------------------------------------------------------------------------------
@@ -296,10 +289,7 @@ class Session:
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
         self.play = WorldRollout.of(task, episode, self.policies)
-        header = describe(task, episode, self.policies, episode_id=episode_id)
-        if info:
-            header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
-        self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
+        self.recorder = Recorder.of(self.play, sink, episode_id=episode_id, info=info)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
         self._turns: DecisionLoop | None = None
         self._closed: Recording | None = None
@@ -395,11 +385,9 @@ class Session:
                 choice, inbox = self._choice(number), self._inboxes[number]
                 # recorded even if it only repeats the last command: a replay asks for a command wherever there was one
                 reason, inbox.reason = inbox.reason, ""
-                _record(self.task, self.recorder, number, choice, reason)
+                _record(self.recorder, number, choice, reason)
             else:
-                choice = self.play.decide(number)
-                if _needs_note(self.policies[number].policy, choice):
-                    _record(self.task, self.recorder, number, choice)
+                choice = _decide(self.play, self.recorder, number)
             self._turns.answer(choice)
         events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)
         self.recorder.add()
@@ -427,8 +415,7 @@ class Session:
             # `ended` begins as max_steps, which would be wrong for a session that stops early
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.codec.final_info(self.episode, self.play, self.policies)
-            self._closed = self.recorder.finish({**found, **policies_info(self.policies), **(info or {})})
+            self._closed = self.recorder.finish(_final_info(self.recorder, info))
         return self._closed
 
     def abort(self) -> None:

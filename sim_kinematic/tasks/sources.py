@@ -22,8 +22,7 @@ from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.task import Task
 
-SceneChoice = str | os.PathLike[str] | Scene
-Scenes = SceneChoice | Sequence[SceneChoice]
+Scenes = str | os.PathLike[str] | Scene | Sequence[str | os.PathLike[str] | Scene]
 
 
 class Home:

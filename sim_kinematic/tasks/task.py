@@ -27,43 +27,34 @@ if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
 
-_CODEC = {
-    **{
-        name: name for name in ("instruction", "info", "uid", "final_info", "precompute", "load_precomputed", "restore")
-    },
-    "records_judgement": "records_judgement",
-    "foresight": "precompute",
-    "hindsight": "final_info",
-    "recall": "load_precomputed",
-    "recorded_names": "policy_names",
-    "changed_policies": "check_changes",
-}
-_CONTROL = {
-    **{name: name for name in ("skills", "check_roster", "is_busy", "refusal", "needed_columns")},
-    **{name: name for name in ("recorded_policies", "keep_people")},
-    "checked_choice": "checked",
-    "idle_choice": "idle",
-    "interrupts_running": "interrupts",
-    "choice_to_json": "to_json",
-    "choice_from_json": "from_json",
-    **dict.fromkeys(("batched", "clip_coded", "uses_common_policies"), "has_skills"),
-    "commanded": "recorded_agent",
-    "recorded_agents": "recorded_agent",
-    "agents_with_recorded_decisions": "decided",
-    "recorded_policy": "still",
-    "play": "team",
-}
-_USAGE = {
-    **{name: name for name in ("env_options", "set_rules", "bodies_in_agents", "crosses_partners", "can_be_solo")},
-    "check_env_options": "env_options",
-    "env_defaults": "env_rules",
-    "default_spec": "dataset_rules",
-    "recorded_default": "named_kinds",
-}
 _MOVED = {
-    **{old: f"EpisodeCodec.{new}, of Task.codec," for old, new in _CODEC.items()},
-    **{old: f"Control.{new}, of Task.control," for old, new in _CONTROL.items()},
-    **{old: f"TaskUsage.{new}, of Task.usage," for old, new in _USAGE.items()},
+    **{
+        # a member is called as before, or else its present name follows an equals sign
+        member.partition("=")[0]: f"{owner}.{member.rpartition('=')[2]}, of Task.{place},"
+        for owner, place, members in (
+            (
+                "EpisodeCodec",
+                "codec",
+                "instruction info uid final_info precompute load_precomputed restore records_judgement foresight=precompute "
+                "hindsight=final_info recall=load_precomputed recorded_names=policy_names changed_policies=check_changes",
+            ),
+            (
+                "Control",
+                "control",
+                "skills check_roster is_busy refusal needed_columns recorded_policies keep_people checked_choice=checked "
+                "idle_choice=idle interrupts_running=interrupts choice_to_json=to_json choice_from_json=from_json "
+                "batched=has_skills clip_coded=has_skills uses_common_policies=has_skills commanded=recorded_agent "
+                "recorded_agents=recorded_agent agents_with_recorded_decisions=decided recorded_policy=still play=team",
+            ),
+            (
+                "TaskUsage",
+                "usage",
+                "env_options set_rules bodies_in_agents crosses_partners can_be_solo check_env_options=env_options "
+                "env_defaults=env_rules default_spec=dataset_rules recorded_default=named_kinds",
+            ),
+        )
+        for member in members.split()
+    },
     "storage": "Task.codec",
     "bodies": "Episode.moving",
     "last_reward": "WorldRollout.reward",

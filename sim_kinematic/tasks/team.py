@@ -19,7 +19,7 @@ from h3data.scene.articulation import joints_of
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import RobotState
-from sim_kinematic.policies.assignment import handled_things, works
+from sim_kinematic.policies.assignment import works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
@@ -119,8 +119,7 @@ class MotionTeam(Team):
         if state.joint_pos.shape[1]:
             state.joint_pos[:] = joints_of(self.play.episode.scene).rest
         if state.object_pose.shape[1]:
-            things = handled_things(self.play.policies, self.play.world.roster)
-            state.object_pose[:] = np.array([thing.pose for thing in things])
+            state.object_pose[:] = np.array([thing.pose for thing in self.play.things])
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Move all agents of all worlds at once."""
@@ -250,7 +249,7 @@ class MotionTeam(Team):
         return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
 
     def _handling(self) -> list[int]:
-        """Numbers of the people who may handle things."""
+        """Return numbers of the people who may handle things."""
         return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError, SceneError
+from h3data.recording.assets.scenes import categories_of
 from h3data.scene import Scene, scene_digest
-from h3data.scene.kinds import CATEGORIES, KINDS, categories_of
+from h3data.scene.kinds import CATEGORIES, KINDS
 from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import builtin_sets, find_scene_set
 from h3data_homes import HomeSpec, build_home

@@ -7,9 +7,10 @@ import pytest
 import shapely
 
 from h3data.errors import InputError
+from h3data.recording.assets.scenes import categories_of
 from h3data.scene import FreeSpace, instance_bounds, scene_digest
 from h3data.scene.articulation import joints_of
-from h3data.scene.kinds import KINDS, categories_of
+from h3data.scene.kinds import KINDS
 from h3data.scene.open import named_scenes, open_scene
 from h3data_homes import HomeSpec, build_home
 from h3data_homes.storeys.plan import GOING_M, RISE_M, RISERS, STOREY_M

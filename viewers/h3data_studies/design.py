@@ -179,7 +179,7 @@ class Form(Record, frozen=True):
     fail: Literal["screen_out", "note"] = "screen_out"
     """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
     again: Text = ""
-    """Said above the form when a check was not passed and there is another attempt."""
+    """Text above the form when a check was not passed and there is another attempt."""
     conditions: list[str] = []
     """Conditions after which the form is shown (default: all; built-in forms about the robot leave out those without one)."""
     title: Text = ""
@@ -214,7 +214,7 @@ class Design(Record, frozen=True):
     minutes: Count | None = None
     """Duration that is announced to participants [minutes]."""
     about: Text = ""
-    """Said above the consent text."""
+    """Text above the consent text."""
     device: Device = Device()
     tutorial: Tutorial = Tutorial()
     dropout: DropOut = DropOut()

@@ -5,29 +5,25 @@ Everything is imported at first use.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from h3data.moved import refuse_renamed
+from h3data.moved import lazy_names
 
 if TYPE_CHECKING:
     from h3data_viewers.html_replay.html_file import write_html
     from h3data_viewers.rerun.cameras import CameraFeed, rendered_feed
     from h3data_viewers.rerun.rrd_file import ViewedRecording, write_comparison_rrd, write_rrd
 
-_HOMES = {
-    "CameraFeed": "rerun.cameras",
-    "ViewedRecording": "rerun.rrd_file",
-    "rendered_feed": "rerun.cameras",
-    "write_comparison_rrd": "rerun.rrd_file",
-    "write_html": "html_replay.html_file",
-    "write_rrd": "rerun.rrd_file",
-}
-
 __all__ = ["CameraFeed", "ViewedRecording", "rendered_feed", "write_comparison_rrd", "write_html", "write_rrd"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        return refuse_renamed(__name__)(name)
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "CameraFeed": ".rerun.cameras",
+        "ViewedRecording": ".rerun.rrd_file",
+        "rendered_feed": ".rerun.cameras",
+        "write_comparison_rrd": ".rerun.rrd_file",
+        "write_html": ".html_replay.html_file",
+        "write_rrd": ".rerun.rrd_file",
+    },
+)

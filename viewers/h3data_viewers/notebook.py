@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 Viewer = Literal["rerun", "video"]
 STRIP = 5
-"""Pictures in the strip of a recording."""
+"""Number of pictures in the strip of a recording."""
 LISTED = 10
-"""Episodes listed of a dataset."""
+"""Number of episodes listed of a dataset."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class InlineVideo:
         return f"InlineVideo({self.title}: {len(self.data) / 1e6:.1f} MB; notebooks play it, save() writes it)"
 
     def save(self, path: str | Path) -> Path:
-        """Writes the MP4 file and returns its path."""
+        """Write the MP4 file and return its path."""
         path = Path(path)
         path.write_bytes(self.data)
         return path
@@ -62,7 +62,7 @@ def show(
     width: int | None = None,
     assets: Sequence[str | Path] = (),
 ) -> Any:
-    """Returns something that a notebook displays: a Rerun viewer of the recording, or a video from one camera.
+    """Return something that a notebook displays: a Rerun viewer of the recording, or a video from one camera.
 
     Args:
         recording: The recording.
@@ -120,7 +120,7 @@ def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[st
 
 
 def recording_html(recording: Recording) -> str:
-    """A picture strip of a recording, what it is, and its metrics, as HTML."""
+    """Return a picture strip of a recording, what it is, and its metrics, as HTML."""
     episode = recording.episode
     agents = ", ".join(f"{a.name} ({a.model or a.kind})" for a in recording.agents) or "none"
     facts: dict[str, Any] = {
@@ -144,7 +144,7 @@ def recording_html(recording: Recording) -> str:
 
 
 def episodes_html(episodes: Episodes, title: str) -> str:
-    """The first episodes of many, with what is known without reading their steps, as HTML."""
+    """Return the first episodes of many, with what is known without reading their steps, as HTML."""
     facts = [stored.facts for stored in episodes.stored]
     counted = Counter(str(of["task"]) for of in facts)
     tasks = ", ".join(f"{count} {task}" for task, count in counted.most_common())
@@ -166,7 +166,7 @@ def metrics_table_html(table: MetricsTable) -> str:
 
 
 def metrics_html(measured: EpisodeMetrics) -> str:
-    """Values of the metrics of an episode, and notes on them, as HTML."""
+    """Return values of the metrics of an episode, and notes on them, as HTML."""
     return _html(tables=[_metrics(measured)])
 
 
@@ -179,7 +179,7 @@ def _metrics(measured: EpisodeMetrics) -> tuple[list[str], list[list[str]]]:
 
 
 def _html(**content: Any) -> str:
-    """The output of a cell: the parts of notebook.html that have content."""
+    """Return the output of a cell: the parts of notebook.html that have content."""
     nothing = {"title": "", "about": "", "video": "", "pictures": (), "tables": (), "cut": False, "notes": ()}
     return render("notebook.html", **nothing | content)
 

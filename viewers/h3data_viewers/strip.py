@@ -25,7 +25,7 @@ MOVES_MPS, OVER_S = 0.2, 0.5
 PASSING_M = 4.0
 """Distance that moving agents must come below to count as crossing [m]."""
 COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
-"""Paths of the agents, by number."""
+"""Colours of the agents' paths, by the number of the agent."""
 PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
 WIDTH_PX, VIEW_PX, PLAN_PX = 360, 270, 320
 """Size of a panel: its width, the height of its picture, and the largest height of its plan."""
@@ -60,7 +60,7 @@ def moments_of(recording: Recording) -> list[KeyFrame]:
 
 
 def crossing_of(recording: Recording) -> KeyFrame | None:
-    """Returns where two agents pass closest while both move; None if they are never within `PASSING_M` then."""
+    """Return where two agents pass closest while both move; None if they are never within `PASSING_M` then."""
     positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
     moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
     nearest: list[tuple[float, int, int, int]] = []
@@ -79,7 +79,7 @@ def crossing_of(recording: Recording) -> KeyFrame | None:
 
 
 def episode_strip(replay: Replay) -> NDArray[np.uint8]:
-    """The moments of a recorded episode side by side, RGB [H, W, 3].
+    """Return the moments of a recorded episode side by side, RGB [H, W, 3].
 
     Above each is its time and who does what, in the middle the view of a camera that follows the agent, below the plan with
     the paths of all agents until then.
@@ -117,7 +117,7 @@ def episode_strip(replay: Replay) -> NDArray[np.uint8]:
 
 # --- parts of a panel ---------------------------------------------------------------------------------------------------
 def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
-    """The plan, pale so that paths stand out, at most as wide as a panel; and its camera."""
+    """Return the plan, pale so that paths stand out, at most as wide as a panel; and its camera."""
     from h3data.render.sheets.scene_map import plan_picture
 
     scene = replay.scene
@@ -156,7 +156,7 @@ def _view(replay: Replay, moment: KeyFrame) -> NDArray[np.uint8]:
 
 
 def _key(recording: Recording, width: int) -> NDArray[np.uint8]:
-    """The names of all agents beside the colours of their paths, as a row below the panels."""
+    """Return the names of all agents beside the colours of their paths, as a row below the panels."""
     import cv2
 
     out, at = np.full((30, width, 3), PAPER, np.uint8), 10
@@ -167,7 +167,7 @@ def _key(recording: Recording, width: int) -> NDArray[np.uint8]:
 
 
 def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int], scale: float) -> int:
-    """Writes text with its baseline at a pixel, smaller where it would not fit; returns its width."""
+    """Write text with its baseline at a pixel, smaller where it would not fit; return its width."""
     import cv2
 
     (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
@@ -188,7 +188,7 @@ def _positions(recording: Recording, agent: int) -> Array:
 
 
 def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
-    """Returns whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
+    """Return whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
     # over a second, so that an agent who sways on the spot does not count as moving
     steps, reach = np.arange(len(xz)), max(round(OVER_S / dt), 1)
     before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: Any) -> str:
-    """Returns the text of a template with values.
+    """Return the text of a template with values.
 
     Args:
         template: Path of the template from the folder of this package, such as ``notebook.html``.
@@ -23,7 +23,7 @@ def render(template: str, **values: Any) -> str:
 
 
 def source(path: str) -> Markup:
-    """Returns a file beside the templates, such as a script or a style sheet, as part of a page; it is not escaped."""
+    """Return a file beside the templates, such as a script or a style sheet, as part of a page; it is not escaped."""
     from markupsafe import Markup
 
     # not `include`, which would read the braces of scripts as those of templates
@@ -34,7 +34,7 @@ def source(path: str) -> Markup:
 
 @cache
 def environment() -> Environment:
-    """The environment of all templates. It escapes values, and a name without a value is an error."""
+    """Return the environment of all templates. It escapes values, and a name without a value is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from h3data_viewers.html_report.tables import counted, cut, number
@@ -47,5 +47,5 @@ def environment() -> Environment:
 
 
 def _sha256(text: str) -> str:
-    """Digest of an inline script or style by which a Content-Security-Policy allows it."""
+    """Return the digest of an inline script or style by which a Content-Security-Policy allows it."""
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

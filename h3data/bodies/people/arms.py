@@ -28,7 +28,7 @@ ARM_JOINTS = ("shoulder", "elbow", "wrist")
 
 
 def _shoulders(forward: float, hang: float, twist: float) -> Array:
-    """Rotations of the two shoulders, [2, 4]."""
+    """Return rotations of the two shoulders, [2, 4]."""
     return np.stack(
         [
             quat_from_matrix(rotation(X, -forward) @ rotation(Z, -sign * hang) @ rotation(X, twist))
@@ -38,7 +38,7 @@ def _shoulders(forward: float, hang: float, twist: float) -> Array:
 
 
 def _about_y(degrees: float) -> Array:
-    """Rotations of two joints about the body's vertical in the T-pose, forward on both sides, [2, 4]."""
+    """Return rotations of two joints about the body's vertical in the T-pose, forward on both sides, [2, 4]."""
     return np.stack([quat_from_matrix(rotation(Y, -sign * degrees)) for _, sign, _ in SIDES])
 
 
@@ -65,7 +65,7 @@ CARRY_CLOSE = np.stack(
 
 
 def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:
-    """Draws the arms of poses in, in place.
+    """Draw the arms of poses in, in place.
 
     Args:
         quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; elbows keep what they do.
@@ -100,7 +100,7 @@ def bend_arms(
     twist_deg: float = 0.0,
     wrist_deg: float = 0.0,
 ) -> Array:
-    """Rotations [T, 2, 3, 4] of `ARM_JOINTS`, left and right, that put wrists at places: two-bone arms in closed form.
+    """Return rotations [T, 2, 3, 4] of `ARM_JOINTS`, left and right, that put wrists at places: two-bone arms in closed form.
 
     Args:
         offsets: Places of the joints in the frames of their parents [55, 3] [m] (`Humanoid.joint_offsets`).

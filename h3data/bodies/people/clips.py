@@ -91,36 +91,36 @@ class Gaits:
     """Fitted values at `JOG_SPEED_MPS`, shape [P']."""
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
-        """Distance per cycle [...] [m] at speeds [...] [m/s]."""
+        """Return the distance per cycle [...] [m] at speeds [...] [m/s]."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         return np.where(
             speed > JOG_ABOVE_MPS, jog_stride(self.height_m, speed), walk_stride(self.legs, np.minimum(speed, 2.0))
         )
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
-        """Postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
+        """Return postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
         # callers ask for walking and jogging apart, since each has fitted values of its own
         if np.all(speed_mps > JOG_ABOVE_MPS):
             return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
         return gait_posture(WALK, self.legs, self.stride_m(speed_mps), self.walk_values(speed_mps), phase)
 
     def stance(self, speed_mps: float) -> float:
-        """Share of the cycle that a foot spends on the floor at a speed [m/s]."""
+        """Return the share of the cycle that a foot spends on the floor at a speed [m/s]."""
         return (JOG if speed_mps > JOG_ABOVE_MPS else WALK).stance
 
     def strike(self, speed_mps: float) -> float:
-        """Returns the distance ahead of the pelvis at which a foot strikes at a speed [m/s], in strides."""
+        """Return the distance ahead of the pelvis at which a foot strikes at a speed [m/s], in strides."""
         jogs = speed_mps > JOG_ABOVE_MPS
         values = self.jog if jogs else self.walk_values(speed_mps)
         return float(strike_ahead(JOG if jogs else WALK, values[PARAMETERS.index("shift")]))
 
     def start_phase(self, speed_mps: float) -> float:
-        """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
+        """Return the phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
         # a planted foot is stride * (strike - phase) ahead of the pelvis; solved for the ankle of a standing person
         return self.strike(speed_mps) - STAND_ANKLE_Z_M / float(self.stride_m(speed_mps))
 
     def walk_values(self, speed_mps: ArrayLike) -> Array:
-        """Values [..., P] of walking at speeds [...] [m/s], between those fitted."""
+        """Return values [..., P] of walking at speeds [...] [m/s], between those fitted."""
         speed = np.asarray(speed_mps, np.float64)
         # beyond the fitted speeds `interp` keeps the values of the nearest one
         return np.stack([np.interp(speed, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=-1)
@@ -215,13 +215,13 @@ def pose_at_speed(
 # Legs are compared by identity, and each body has its own.
 @lru_cache(maxsize=64)
 def _standing_arrays(legs: Legs) -> tuple[Array, Array, Array, Array]:
-    """The frame of standing that all frames are blended with: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
+    """Return the frame of standing that all frames are blended with: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
     stand = stand_posture(legs)
     return stand.quats[0], stand.pelvis[0], stand.ankle[0], stand.foot[0]
 
 
 def _floor_heights(ground: ArrayLike, frames: int) -> Array:
-    """Heights [T, 2] [m] of the floor under both feet."""
+    """Return heights [T, 2] [m] of the floor under both feet."""
     return np.ascontiguousarray(np.broadcast_to(np.asarray(ground, np.float64), (frames, 2)))
 
 
@@ -262,7 +262,7 @@ class ClipTable:
 
 
 def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
-    """The clips, one below the other; the first one must be the standing pose."""
+    """Return the clips, one below the other; the first one must be the standing pose."""
     frames = np.array([len(c) for c in clips])
     return ClipTable(
         legs=legs,
@@ -302,13 +302,13 @@ def sample_clips(
 
 
 def nearest_clip(clips: Sequence[Clip], speed_mps: float) -> int:
-    """Index of the clip whose speed is nearest in ratio; a standing clip below `STAND_BELOW_MPS`."""
+    """Return the index of the clip whose speed is nearest in ratio; a standing clip below `STAND_BELOW_MPS`."""
     return _nearest_speed(tuple([c.speed_mps for c in clips]), abs(float(speed_mps)))
 
 
 @lru_cache(maxsize=256)
 def _nearest_speed(clip_speeds: tuple[float, ...], speed: float) -> int:
-    """Returns the same as `nearest_clip`, cached: a walker asks for it in every step."""
+    """Return the same as `nearest_clip`, cached: a walker asks for it in every step."""
     speeds = np.array(clip_speeds)
     if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
         return int(np.argmin(speeds))

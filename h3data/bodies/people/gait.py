@@ -133,7 +133,7 @@ TURN_START_PHASE = _TURN_STANCE / 2
 def gait_posture(
     style: GaitStyle, legs: Legs, stride_m: ArrayLike, values: Array, phase: Array, *, floored: bool = True
 ) -> Posture:
-    """Postures at ``phase`` [T] of a gait with fitted ``values`` [T, P] or [P] and strides [T] or one [m].
+    """Return postures at ``phase`` [T] of a gait with fitted ``values`` [T, P] or [P] and strides [T] or one [m].
 
     ``floored`` lifts a swinging foot whose heel or toes would pierce the floor.
     """
@@ -174,7 +174,7 @@ def gait_posture(
 
 
 def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
-    """Returns the distance ahead of the pelvis at which a foot strikes, in strides."""
+    """Return the distance ahead of the pelvis at which a foot strikes, in strides."""
     return style.stance / 2 - 0.045 + shift
 
 

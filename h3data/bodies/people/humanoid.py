@@ -179,7 +179,7 @@ class Humanoid:
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Returns the same as `clip_pose`, exactly instead of from a table, at any speed [T] [m/s]: above 2 m/s, a jog.
+        """Return the same as `clip_pose`, exactly instead of from a table, at any speed [T] [m/s]: above 2 m/s, a jog.
 
         The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
         the change of the stride; change it between steps to avoid that.
@@ -286,7 +286,7 @@ class Humanoid:
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
-        """Returns whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        """Return whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
         # the height in the picture, focal * height / distance, without dividing by a distance of 0
         # 220.0: height in a picture [px] up to which a person is drawn with the light mesh, whose error (4
         # mm) is then below half a pixel
@@ -300,5 +300,5 @@ class Humanoid:
 
 
 def _doubles(values: ArrayLike) -> Array:
-    """Returns an array in the form that the kernels take."""
+    """Return an array in the form that the kernels take."""
     return np.ascontiguousarray(values, np.float64)

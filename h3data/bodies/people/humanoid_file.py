@@ -44,7 +44,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def humanoid_names() -> tuple[str, ...]:
-    """Names of the built-in bodies, sorted."""
+    """Return names of the built-in bodies, sorted."""
     others = (COMMON_FILE, WARDROBE_FILE)
     return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name not in others))
 
@@ -56,7 +56,7 @@ def _builtin_arrays(name: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """Loads a body by name, once; later calls return the same object.
+    """Load a body by name, once; later calls return the same object.
 
     The name is a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or a file that
     ends in ``.npz``; a colon and an outfit may follow (``female_0:dress``).
@@ -96,7 +96,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
-    """All arrays of an npz file whose ``format`` is ``expected``; never unpickles."""
+    """Return all arrays of an npz file whose ``format`` is ``expected``; never unpickles."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
@@ -150,13 +150,13 @@ def _capsule_places(data: Arrays) -> dict[str, Any]:
 
 
 def to_planes(vertices: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Vertices [V, 3] as planes of low and high bytes, uint8 [2, 3, V]: they compress by a third better."""
+    """Return vertices [V, 3] as planes of low and high bytes, uint8 [2, 3, V]: they compress by a third better."""
     flat = np.ascontiguousarray(vertices.astype("<i2").T)
     return np.ascontiguousarray(flat.view(np.uint8).reshape(3, -1, 2).transpose(2, 0, 1))
 
 
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """The reverse of `to_planes`."""
+    """Return the reverse of `to_planes`."""
     low, high = planes.astype(np.uint16)
     # the cast to int16 gives back the negative ones, which are stored in two's complement
     return np.ascontiguousarray((low | high << 8).astype(np.int16).T)
@@ -214,7 +214,7 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
 
 
 def legs_from_offsets(offsets: Array, feet: Array, ankle_height: float) -> Legs:
-    """The measures of legs from ``joint_offsets`` [55, 3] and the ``feet`` of `Legs` [2, 3, 3] [m]."""
+    """Return the measures of legs from ``joint_offsets`` [55, 3] and the ``feet`` of `Legs` [2, 3, 3] [m]."""
     return Legs(
         hips=offsets[[JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]],
         thigh=float(np.linalg.norm(offsets[JOINT_INDEX["left_knee"]])),

@@ -114,7 +114,7 @@ def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
 
 
 def within_reach(legs: Legs, posture: Posture) -> Posture:
-    """The pelvis lowered where a foot would be out of reach."""
+    """Return the pelvis lowered where a foot would be out of reach."""
     from h3data.bodies.people.kernels.legs import sink_pelvis
 
     pelvis = posture.pelvis.copy()
@@ -123,7 +123,7 @@ def within_reach(legs: Legs, posture: Posture) -> Posture:
 
 
 def lowest_point(legs: Legs, ankle: Array, foot: Array) -> Array:
-    """Height [T, 2] [m] of each sole's lowest point, heel or toe tip, for ankles and angles as in `Posture`."""
+    """Return the height [T, 2] [m] of each sole's lowest point, heel or toe tip, for ankles and angles as in `Posture`."""
     from h3data.bodies.people.kernels.legs import lowest_points
 
     heights = np.empty(ankle.shape[:2])

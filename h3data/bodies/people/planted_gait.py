@@ -30,7 +30,7 @@ _CALL = Entries()
 
 
 def gait_tables(gaits: Gaits) -> GaitTables:
-    """The gaits of a body, sampled (40 ms)."""
+    """Return the gaits of a body, sampled (40 ms)."""
     from h3data.bodies.people.kernels.planted import GaitTables
 
     # rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)
@@ -103,12 +103,12 @@ def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
 
 
 def on_stairs(tables: GaitTables, heights: Array) -> GaitTables:
-    """The gaits of a body whose feet stand on the treads of stairs (`h3data.scene.floor_heights`)."""
+    """Return the gaits of a body whose feet stand on the treads of stairs (`h3data.scene.floor_heights`)."""
     return tables._replace(heights=np.ascontiguousarray(heights, np.float64))
 
 
 def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:
-    """The states [T, K] of a person whose root is at ``base`` [T, 7], one step after the other.
+    """Return the states [T, K] of a person whose root is at ``base`` [T, 7], one step after the other.
 
     ``time_s`` [T] is when; by default rows are 1/30 s apart. After rows that are not finite (the person is absent) and jumps
     of the root they stand.
@@ -151,14 +151,14 @@ class PlantedWalk:
         self.stand(base)
 
     def stand(self, base: ArrayLike) -> None:
-        """Puts both feet where they belong under a root [7]."""
+        """Put both feet where they belong under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
         _CALL(stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
-        """Returns whether the feet are at rest where a standing person's are."""
+        """Return whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
         return bool(_CALL(one_stands, self.tables, self.state))
@@ -178,7 +178,7 @@ class PlantedWalk:
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Returns whether the root [7] is where the last step left it."""
+        """Return whether the root [7] is where the last step left it."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)
@@ -186,7 +186,7 @@ class PlantedWalk:
         return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
 
     def step(self, base: ArrayLike) -> None:
-        """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
+        """Advance by 1/30 s, in which the root gets to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
         _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
@@ -207,7 +207,7 @@ class PlantedWalk:
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
-        """Moves the legs of any pose, in place, so that its feet are where the walk has planted them.
+        """Move the legs of any pose, in place, so that its feet are where the walk has planted them.
 
         The pose is [55, 4] and [3] in the agent root frame. The pelvis is lowered where a leg would be too short.
         """

@@ -33,7 +33,7 @@ ADULT_HEIGHT_M = (1.5, 1.95)
 
 
 def is_random(name: str) -> bool:
-    """Returns whether a body's name means a random person: ``random:`` and a whole number."""
+    """Return whether a body's name means a random person: ``random:`` and a whole number."""
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 
@@ -51,7 +51,7 @@ def _shape_space() -> _ShapeSpace:
 
 
 def random_arrays(name: str, read: Callable[[str], Mapping[str, NDArray[Any]]], planes: Any) -> dict[str, Any]:
-    """The arrays of a baked file for ``random:SEED``.
+    """Return the arrays of a baked file for ``random:SEED``.
 
     Args:
         name: The name.
@@ -101,7 +101,7 @@ def random_arrays(name: str, read: Callable[[str], Mapping[str, NDArray[Any]]], 
 
 
 def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequence[float]) -> list[float]:
-    """Returns the weight of each built-in body in a person; they sum to 1, and some are negative."""
+    """Return the weight of each built-in body in a person; they sum to 1, and some are negative."""
     directions = _shape_space().directions
     # range of the age of an adult phenotype; children are below it, and 1 is the oldest
     adult_age = (0.6, 1.0)

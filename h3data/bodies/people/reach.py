@@ -48,8 +48,6 @@ ARM_RADIUS, INSET = 0.026, 0.02
 by which advice keeps away from its border."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
 """The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
-_TRIED = 24
-"""Nearest table points from which the nearest valid one is sought."""
 
 
 class BaseMotion(NamedTuple):
@@ -61,7 +59,7 @@ class BaseMotion(NamedTuple):
     """Turn to the left, after the move [rad]."""
 
     def of(self, base_pose: ArrayLike) -> Array:
-        """The pose7 of a root at ``base_pose`` after this move."""
+        """Return the pose7 of a root at ``base_pose`` after this move."""
         step = ground_pose(np.array([self.forward_m, self.right_m]), np.array(self.turn_rad))
         return pose_multiply(np.asarray(base_pose, np.float64), step)
 
@@ -88,7 +86,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
-        """Returns whether the point can be reached."""
+        """Return whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -106,7 +104,7 @@ class ReachPoses(NamedTuple):
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """The pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.
@@ -160,13 +158,13 @@ def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> 
 
 @lru_cache(maxsize=64)
 def grasp_point(body: Humanoid, hand: Hand) -> Array:
-    """The palm's grasp point in the wrist's frame, shape [3] [m]."""
+    """Return the palm's grasp point in the wrist's frame, shape [3] [m]."""
     return PALM_SHARE * body.joint_offsets[JOINT_INDEX[f"{hand}_middle1"]] - [0, PALM_DROP * _shoulder(body), 0]
 
 
 @lru_cache(maxsize=64)
 def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
-    """The solver of one hand, made once per body (5 ms)."""
+    """Return the solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
         raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
     return ReachSolver(body, hand)
@@ -189,7 +187,7 @@ class Table(NamedTuple):
 
 @lru_cache(maxsize=1)
 def reach_table() -> Table:
-    """The table that ships, read once."""
+    """Return the table that ships, read once."""
     path = builtin_path(TABLE_FILE)
     data = read_arrays(path, TABLE_FORMAT)
     # whole numbers in the file, each parameter with a unit of its own
@@ -204,6 +202,9 @@ def reach_table() -> Table:
 
 class ReachSolver:
     """Reaches with one hand of one body."""
+
+    tried = 24
+    """Number of the nearest table points from which the nearest valid one is sought."""
 
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
         self.table = reach_table() if table is None else table
@@ -240,7 +241,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Returns at which of the points [T, 3] the hand would arrive."""
+        """Return at which of the points [T, 3] the hand would arrive."""
         return self.poses(targets).status == kernel.REACHED
 
     @property
@@ -262,12 +263,15 @@ class ReachSolver:
         """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
-        starts = self.valid_points[np.argsort(gap)[:_TRIED]]
+        starts = self.valid_points[np.argsort(gap)[: self.tried]]
         found = self._towards(starts, np.broadcast_to(target, starts.shape))
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
     def base_motion(self, target: Array) -> BaseMotion | None:
-        """The smallest found move of the base from which ``target`` [3] is reached; turns to it when it is not in front."""
+        """Return the smallest found move of the base from which ``target`` [3] is reached.
+
+        The move turns the body to the target when it is not in front.
+        """
         forward, height, right = target
         if abs(right) < forward or np.hypot(forward, right) < 0.3 * self.body.scale:
             turn = 0.0
@@ -282,13 +286,13 @@ class ReachSolver:
         starts = starts[self.reachable(starts)] if len(starts) else starts
         if not len(starts):
             return None
-        starts = starts[np.argsort(np.hypot(*(starts - seen)[:, [0, 2]].T))[:_TRIED]]
+        starts = starts[np.argsort(np.hypot(*(starts - seen)[:, [0, 2]].T))[: self.tried]]
         found = self._towards(starts, np.broadcast_to(seen, starts.shape))
         x, _, z = seen - found[int(np.argmin(np.linalg.norm(found - seen, axis=1)))]
         return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)
 
     def _towards(self, starts: Array, ends: Array) -> Array:
-        """Returns how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
+        """Return how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
         low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
         # ten halvings leave a thousandth of the line
         for _ in range(10):
@@ -316,7 +320,7 @@ def _points(targets: ArrayLike) -> Array:
 
 # --- what the kernel knows of a body ------------------------------------------------------------------------------------
 def _shoulder(body: Humanoid) -> float:
-    """Height of the shoulders in the zero pose [m]."""
+    """Return the height of the shoulders in the zero pose [m]."""
     chain = ("pelvis", "spine1", "spine2", "spine3", "right_collar", "right_shoulder")
     return float(add_up(body.joint_offsets[JOINT_INDEX[name], 1] for name in chain))
 

@@ -32,7 +32,7 @@ class RigidPart(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rigid_parts(body: Humanoid, style: PeopleStyle) -> tuple[RigidPart, ...]:
-    """The parts of a person; none for ``skin``."""
+    """Return the parts of a person; none for ``skin``."""
     if style == "capsules":
         return tuple(
             RigidPart(c.name, c.joint, capsule_mesh(c.start, c.end, c.radius, color=CAPSULE_COLOR))
@@ -42,7 +42,10 @@ def rigid_parts(body: Humanoid, style: PeopleStyle) -> tuple[RigidPart, ...]:
 
 
 def _bones(body: Humanoid) -> tuple[RigidPart, ...]:
-    """A capsule along each bone, and one for the skull; frames of joints are aligned with the body: +Y up, +Z forward."""
+    """Return a capsule along each bone, and one for the skull.
+
+    Frames of joints are aligned with the body: +Y up, +Z forward.
+    """
     parts = []
     for end, (parent, offset) in enumerate(zip(PARENTS, body.joint_offsets, strict=True)):
         length = float(np.linalg.norm(offset))

@@ -176,7 +176,7 @@ class Sitting:
         return np.array([-ahead.min(), ahead.max(), np.abs(skin[:, 2]).max()])
 
     def _laid_out(self, angles: Array) -> Array:
-        """Rotations [T, 55, 4] in the agent root frame for postures as `LYING_DEG`, [T, 6]."""
+        """Return rotations [T, 55, 4] in the agent root frame for postures as `LYING_DEG`, [T, 6]."""
         quats = stand_posture(self.body.gaits.legs, len(angles)).quats.copy()
         pitch, spine, neck, thigh, shank, foot = angles.T
         turns = {"pelvis": pitch, **dict.fromkeys(("spine1", "spine2", "spine3"), spine / 3)}
@@ -189,12 +189,12 @@ class Sitting:
         return quats
 
     def fits(self, depth_m: float) -> bool:
-        """Returns whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
+        """Return whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
         return self.edge_m - self.back_m <= depth_m + SINK_M
 
 
 def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) -> None:
-    """Sets poses of standing people down on seats, in place.
+    """Set poses of standing people down on seats, in place.
 
     Args:
         body: Their body.

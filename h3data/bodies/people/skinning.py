@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FEW_FRAMES = 8
 """Frames up to which `apply_skin_frames` is faster than `apply_skin`: 0.13 and 0.73 ms for one, equal for about ten."""
 CHUNK_FRAMES = 32
-"""Frames per product: the palette and the result stay in the cache (the best of 1, 8, 32, 64, 256)."""
+"""Number of frames per product: the palette and the result stay in the cache (the best of 1, 8, 32, 64, 256)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +103,7 @@ class SkinBounds(NamedTuple):
 def build_skin_bounds(
     vertices: NDArray[np.float32], joints: NDArray[np.integer], weights: NDArray[np.float32], inverse_bind: Array
 ) -> SkinBounds:
-    """Computes the bounding spheres of a mesh.
+    """Compute the bounding spheres of a mesh.
 
     Args:
         vertices: vertices at rest [V, 3] [m].

@@ -13,24 +13,19 @@ from h3data.scene.shape_bounds import shape_bounds
 
 
 def resting_bounds(robot: Robot) -> NDArray[np.float64]:
-    """Returns lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
+    """Return lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
     frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
     bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
     return np.array(bounds).reshape(-1, 2, 3)
 
 
 def resting_hull(robot: Robot) -> Array:
-    """Returns places along x of discs of the base's radius that cover the whole resting robot and its base discs [H] [m]."""
+    """Return places along x of discs of the base's radius that cover the whole resting robot and its base discs [H] [m]."""
     bounds, radius = resting_bounds(robot), robot.base_radius_m
     back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
     # discs cover a radius beyond their places
     if len(bounds):
         back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
-    return row_of_discs(back, front, radius)
-
-
-def row_of_discs(back: float, front: float, radius: float) -> Array:
-    """Returns places [D] [m] from ``back`` to ``front``, no farther apart than 1.4 radii."""
     # distance between two discs of a row, in radii: between them the row is 71% as wide as a disc
     spacing = 1.4
     # less a little, so that rounding does not add a disc
@@ -39,5 +34,5 @@ def row_of_discs(back: float, front: float, radius: float) -> Array:
 
 
 def row_radius(places: Array, points: Array) -> float:
-    """Returns the least radius [m] of discs at places [D] along x that cover floor points ``(x, z)`` [N, 2]."""
+    """Return the least radius [m] of discs at places [D] along x that cover floor points ``(x, z)`` [N, 2]."""
     return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

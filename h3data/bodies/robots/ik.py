@@ -28,7 +28,7 @@ class IkResult:
     position_error_m: NDArray[np.float64]
     """Distance that is left to the target, shape [*batch]."""
     rotation_error_rad: NDArray[np.float64]
-    """Angle that is left, shape [*batch]; 0 where only a position was asked for."""
+    """Angle between the wanted and the reached rotation, shape [*batch] [rad]; 0 where only a position was asked for."""
     reached: NDArray[np.bool_]
     """True if both errors are within their tolerances, shape [*batch]."""
     clamped: NDArray[np.bool_]
@@ -169,7 +169,7 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
 
 
 def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) -> NDArray[np.int64]:
-    """Columns of the joints that may move."""
+    """Return columns of the joints that may move."""
     from h3data.bodies.robots.kinematics import BALL, FIXED
 
     moving = chain[robot.kinds[chain] != FIXED]

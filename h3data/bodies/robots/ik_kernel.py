@@ -162,7 +162,7 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
 
 @kernel_part()
 def _noise(restart, column):
-    """A number in [0, 1) that depends on its arguments alone (the finaliser of splitmix64)."""
+    """Return a number in [0, 1) that depends on its arguments alone (the finaliser of splitmix64)."""
     value = np.uint64(restart) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(column) * np.uint64(0xD1B54A32D192ED03)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

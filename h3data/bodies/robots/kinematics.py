@@ -145,7 +145,7 @@ def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tenso
 
 
 def _cross_matrix(vector: Tensor) -> Tensor:
-    """The matrices [..., 3, 3] that multiply as the cross product with ``vector`` [..., 3] does."""
+    """Return the matrices [..., 3, 3] that multiply as the cross product with ``vector`` [..., 3] does."""
     import torch
 
     x, y, z = vector.unbind(-1)

@@ -214,7 +214,7 @@ class Robot:
         return JointTree(parents, self.origins, self.kinds, self.axes, self.columns, self.gains, self.offsets)
 
     def link_index(self, name: str) -> int:
-        """The place of a link in ``links``."""
+        """Return the place of a link in ``links``."""
         if name not in self.link_names:
             raise InputError(
                 f"Robot {self.name} has no link {name!r}. It has: {', '.join(self.link_names[:40])}.",
@@ -223,7 +223,7 @@ class Robot:
         return self.link_names.index(name)
 
     def clamp(self, joint_pos: ArrayLike) -> JointTargets:
-        """The nearest joint positions inside the limits, and which ones had to be moved there.
+        """Return the nearest joint positions inside the limits, and which ones had to be moved there.
 
         Raises:
             InputError: not [..., J] numbers, or some are NaN or infinite.

@@ -48,13 +48,13 @@ def _check(loaded: Any) -> None:
 
 @cache
 def _built_in() -> dict[str, Path]:
-    """Folders of the built-in robots by name."""
+    """Return folders of the built-in robots by name."""
     return {path.parent.name: path.parent for path in sorted(builtin_path("robots").glob("*/robot.urdf"))}
 
 
 @cache
 def _registry() -> Registry[Any]:
-    """Paths of robots: built-in ones, and those of packages (entry points of the group ``h3data.robots``)."""
+    """Return paths of robots: built-in ones, and those of packages (entry points of the group ``h3data.robots``)."""
     return Registry("h3data.robots", _built_in(), what="robot", check=_check)
 
 
@@ -67,17 +67,17 @@ class RobotFiles(NamedTuple):
 
 
 def robot_names() -> tuple[str, ...]:
-    """Names of the built-in robots, then of those of installed packages."""
+    """Return names of the built-in robots, then of those of installed packages."""
     return _registry().names()
 
 
 def is_built_in(name: str | Path) -> bool:
-    """Returns whether a robot comes with this package, so that its name alone says which it is."""
+    """Return whether a robot comes with this package, so that its name alone says which it is."""
     return str(name) in _built_in()
 
 
 def is_robot(name_or_path: str | Path) -> bool:
-    """Returns whether `find_robot` can look up a text: the name of a robot, ``module:name``, or a path of robot files."""
+    """Return whether `find_robot` can look up a text: the name of a robot, ``module:name``, or a path of robot files."""
     text = str(name_or_path)
     # built-in names first: all others make every installed package look for its own
     return text in _built_in() or (
@@ -86,7 +86,7 @@ def is_robot(name_or_path: str | Path) -> bool:
 
 
 def is_robot_file(path: str | Path) -> bool:
-    """Returns whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
+    """Return whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
     path = Path(path)
     if path.suffix.lower() in DESCRIPTIONS or path.name == SETTINGS_NAME:
         return True
@@ -94,7 +94,7 @@ def is_robot_file(path: str | Path) -> bool:
 
 
 def find_robot(name_or_path: str | Path) -> RobotFiles:
-    """Returns the files of a robot by name (`robot_names`), ``module:name``, or path of its URDF, ``robot.toml`` or folder.
+    """Return the files of a robot by name (`robot_names`), ``module:name``, or path of its URDF, ``robot.toml`` or folder.
 
     Raises:
         InputError: There is no such robot, or its folder does not say which of several URDFs is meant.
@@ -138,7 +138,7 @@ def _in_folder(folder: Path) -> RobotFiles:
 
 
 def _settings_beside(urdf: Path) -> Path | None:
-    """Returns the ``robot.toml`` beside a URDF, unless it belongs to another URDF."""
+    """Return the ``robot.toml`` beside a URDF, unless it belongs to another URDF."""
     settings = urdf.with_name(SETTINGS_NAME)
     if not settings.is_file():
         return None

@@ -35,7 +35,7 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in: bool = True) -> Robot:
-    """Loads a robot once and shares it until its files change.
+    """Load a robot once and share it until its files change.
 
     Args:
         name_or_path: A name (`robot_names`), or the path of a URDF, of a ``robot.toml``, or of the folder of either.
@@ -53,14 +53,14 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
 
 
 def robot_name(robot: str | Path | Robot) -> str:
-    """The name or path by which `load_robot` finds a robot again."""
+    """Return the name or path by which `load_robot` finds a robot again."""
     if not isinstance(robot, Robot):
         return str(robot)
     return robot.name if is_built_in(robot.name) and load_robot(robot.name).file == robot.file else str(robot.file)
 
 
 def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> RobotSettings:
-    """Returns the settings that `load_robot` guesses for a URDF without a ``robot.toml``.
+    """Return the settings that `load_robot` guesses for a URDF without a ``robot.toml``.
 
     Raises:
         InputError: There is no such file.
@@ -71,7 +71,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
 
 
 def robot_digest(name_or_path: str | Path) -> str:
-    """Returns the SHA-256 of a robot's files as 64 hex digits; empty for a built-in robot, which its name describes.
+    """Return the SHA-256 of a robot's files as 64 hex digits; empty for a built-in robot, which its name describes.
 
     Its parts are the bytes of the URDF, those of its ``robot.toml``, and those of each mesh, in the order of their paths.
     Before each part comes its length [bytes] as int64, little-endian; -1 stands for a file that does not exist.
@@ -98,7 +98,7 @@ def _meshes_of(urdf: Path, version: tuple[int, int]) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=32)
 def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
-    """Returns a digest of files and their versions, so that only changed files are read again."""
+    """Return a digest of files and their versions, so that only changed files are read again."""
     digest = hashlib.sha256()
     for file, _ in parts:
         data = file.read_bytes() if file is not None and file.is_file() else None
@@ -108,7 +108,7 @@ def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
 
 
 def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
-    """Raises an InputError unless the robot that was recorded for ``agent`` is there with the digest `robot_digest` gave.
+    """Raise an InputError unless the robot that was recorded for ``agent`` is there with the digest `robot_digest` gave.
 
     An empty ``sha256`` (built-in robots, recordings made before there were digests) allows any robot.
     """
@@ -145,7 +145,7 @@ def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: 
 
 
 def _version(path: Path | None) -> tuple[int, int]:
-    """Returns time stamp [ns] and size of a file; zeros if there is none."""
+    """Return time stamp [ns] and size of a file; zeros if there is none."""
     # not a digest of the contents: robots are asked for at every reset
     if path is None or not path.is_file():
         return 0, 0
@@ -154,7 +154,7 @@ def _version(path: Path | None) -> tuple[int, int]:
 
 
 def _read(path: Path, *, allow_missing: bool = True) -> Urdf:
-    """The description of a robot, in URDF or in a format of `READERS`."""
+    """Return the description of a robot, in URDF or in a format of `READERS`."""
     reader = _reader(path)
     return read_urdf(path, allow_missing=allow_missing) if reader is None else reader.read(path)
 

@@ -77,7 +77,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def decode_settings(path: Path) -> RobotSettings:
-    """Reads a ``robot.toml`` by itself, without its URDF; once until it changes.
+    """Read a ``robot.toml`` by itself, without its URDF; once until it changes.
 
     Raises:
         FormatError: A field is unknown, of another type, or not finite; the message names it.
@@ -104,7 +104,7 @@ def _decoded(path: Path, *version: int) -> RobotSettings:
 
 
 def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
-    """Returns the settings in a file, checked against the URDF they belong to; defaults without a file."""
+    """Return the settings in a file, checked against the URDF they belong to; defaults without a file."""
     if path is None:
         return RobotSettings()
     settings = decode_settings(path)
@@ -141,7 +141,7 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
 
 
 def _finite(value: Any) -> bool:
-    """Returns whether no number in nested lists and tables is NaN or infinite."""
+    """Return whether no number in nested lists and tables is NaN or infinite."""
     if isinstance(value, dict):
         return all(map(_finite, value.values()))
     if isinstance(value, (list, tuple)):

@@ -16,7 +16,7 @@ from h3data.bodies.robots.urdf_parts import UrdfGeometry
 
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
-    """Returns a URDF of meshes that exist, and the names of the links whose shapes are all their own.
+    """Return a URDF of meshes that exist, and the names of the links whose shapes are all their own.
 
     Warns, naming the other files. Where no link at all has collision shapes, visuals become those.
     """

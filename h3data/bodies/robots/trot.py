@@ -40,7 +40,7 @@ class TrotSpec:
     stride_offset_m: float = 0.2
     """Length of a stride at speed 0, before it is clipped [m]."""
     smooth_steps: int = 9
-    """Steps over which the distance covered in a step is averaged, from which the stride is computed."""
+    """Number of steps over which the distance covered in a step is averaged, from which the stride is computed."""
     duty: float = 0.55
     """Fraction of the cycle in which a foot stands."""
     lift_m: float = 0.05
@@ -105,8 +105,14 @@ def trot(
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
         if there[first]:
             track = bases[first:last]
-            heading, way = _headings_and_way(track, feet)
-            lean = _lean(robot, track) if len(heights) else np.zeros(len(track))
+            heading = np.unwrap(heading_from_quat(track[:, 3:]))
+            covered = np.hypot(*np.diff(track[:, [0, 2]], axis=0).T)
+            # a turn on the spot covers what feet at their mean distance from the root do
+            covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
+            way = np.concatenate([[0.0], np.cumsum(covered)])
+            # distance ahead of the root at which feet stand under a pitched base, nearer to being below their hips
+            up = quat_rotate(track[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
+            lean = -TROT.lean_share * robot.base_height_m * up if len(heights) else np.zeros(len(track))
             cycles = _cycles(way)
             for start in range(0, len(track), block_steps):
                 rows = np.arange(start, min(start + block_steps, len(track)))
@@ -119,24 +125,9 @@ def trot(
 
 
 def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
-    """Returns whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
+    """Return whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
     columns = [c for leg in robot.legs for c in leg.columns]
     return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
-
-
-def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
-    """Heading, without jumps, and distance that the feet have covered along a base track [T, 7]; both [T]."""
-    heading = np.unwrap(heading_from_quat(bases[:, 3:]))
-    covered = np.hypot(*np.diff(bases[:, [0, 2]], axis=0).T)
-    # a turn on the spot covers what feet at their mean distance from the root do
-    covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
-    return heading, np.concatenate([[0.0], np.cumsum(covered)])
-
-
-def _lean(robot: Robot, bases: Array) -> Array:
-    """Returns how far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
-    up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
-    return -TROT.lean_share * robot.base_height_m * up
 
 
 def _ahead(way: Array, heading: Array) -> Array:

@@ -98,7 +98,7 @@ class Urdf:
     rest: Mapping[str, float] = field(default_factory=dict)
     """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
     has_posture: bool = False
-    """True if these are a posture that the robot's maker wants it to rest in, arms included."""
+    """True if the joint positions are a posture in which the robot's maker wants it to rest, arms included."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
@@ -107,7 +107,7 @@ class Urdf:
 
 
 def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = True) -> Urdf:
-    """Reads the robot described by a URDF file; all faults are reported at once.
+    """Read the robot described by a URDF file; all faults are reported at once.
 
     Args:
         path: The file.
@@ -229,13 +229,13 @@ def _elements(text: bytes) -> ElementTree.Element:
 
 
 def mesh_files(links: Iterable[UrdfLink]) -> list[Path]:
-    """Returns the mesh files that links name, sorted."""
+    """Return the mesh files that links name, sorted."""
     named = {part.geometry.file for link in links for part in (*link.visuals, *link.collisions)}
     return sorted(file for file in named if file is not None)
 
 
 def missing_meshes(links: Iterable[UrdfLink]) -> list[Path]:
-    """Returns the mesh files of links that do not exist, sorted."""
+    """Return the mesh files of links that do not exist, sorted."""
     return [file for file in mesh_files(links) if not file.is_file()]
 
 
@@ -308,7 +308,7 @@ def _mimic(element: ElementTree.Element | None, where: str, issues: UrdfIssues) 
 
 
 def _followers(joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> tuple[UrdfJoint, ...]:
-    """The joints, with every mimic traced to the joint that leads it."""
+    """Return the joints, with every mimic traced to the joint that leads it."""
     by_name = {j.name: j for j in joints}
     one_number = ("revolute", "continuous", "prismatic")
     out = []
@@ -341,7 +341,7 @@ def _followers(joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> tuple[UrdfJ
 
 
 def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> str:
-    """Name of the one link without a parent; faults if the joints do not make one tree of all links."""
+    """Return the name of the one link without a parent; faults if the joints do not make one tree of all links."""
     names = [link.name for link in links]
     known, children = set(names), Counter(j.child for j in joints)
     issues.faults += [f"link {n} is there twice" for n, count in Counter(names).items() if count > 1]

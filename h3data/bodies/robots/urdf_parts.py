@@ -70,7 +70,7 @@ class UrdfPart:
 def read_numbers(
     text: str | None, count: int, default: tuple[float, ...], where: str, issues: UrdfIssues
 ) -> tuple[float, ...]:
-    """Returns ``count`` numbers from an attribute, or ``default`` where it is missing or blank.
+    """Return ``count`` numbers from an attribute, or ``default`` where it is missing or blank.
 
     Vectors with more numbers than that lose the rest, with a warning: Bullet, whose own robots have such files, reads them so.
     """
@@ -110,7 +110,7 @@ def read_origin(element: ElementTree.Element | None, where: str, issues: UrdfIss
 
 
 def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | None:
-    """Returns half the sides [3] [m] of the solid box with the mass and the moments of inertia of ``<inertial>``.
+    """Return half the sides [3] [m] of the solid box with the mass and the moments of inertia of ``<inertial>``.
 
     The box is in the element's own frame, with I_x = m (b^2 + c^2) / 12, and so on, for a box of sides a, b, c. Returns
     None if mass or moments are missing or cannot be read: they only help to guess sizes.
@@ -144,7 +144,7 @@ def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple
 def read_parts(
     link: ElementTree.Element, tag: str, folder: Path, materials: dict[str, tuple[int, int, int]], issues: UrdfIssues
 ) -> Iterator[UrdfPart]:
-    """Yields the visual or collision shapes of a link, as ``tag`` says; faults are added to ``issues``."""
+    """Yield the visual or collision shapes of a link, as ``tag`` says; faults are added to ``issues``."""
     for element in link.findall(tag):
         where = f"link {link.get('name')}, {tag}"
         geometry = _geometry(element.find("geometry"), folder, where, issues)
@@ -200,7 +200,7 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
 
 
 def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -> Array:
-    """Frame of the box [4, 4] whose top stands in for ``<plane normal>``."""
+    """Return the frame of the box [4, 4] whose top stands in for ``<plane normal>``."""
     normal = np.array(read_numbers(element.get("normal"), 3, (0.0, 0.0, 1.0), f"{where}, normal", issues))
     if not normal.any():
         issues.faults.append(f"{where}, normal: expected a direction, got zeros")
@@ -215,7 +215,7 @@ def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -
 
 
 def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> Path | None:
-    """Path of a mesh file: relative to the URDF, or in the package of that name.
+    """Return the path of a mesh file: relative to the URDF, or in the package of that name.
 
     Packages are searched by `_packages`, or else `_folders_called`. Returns None, with a fault or a warning, if there
     is no such file.
@@ -278,13 +278,13 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
 
 
 def _spellings(path: str) -> tuple[str, ...]:
-    """A path as it is written and with ``%20`` and the like decoded."""
+    """Return a path as it is written and with ``%20`` and the like decoded."""
     decoded = unquote(path).replace("\0", "")
     return (path,) if decoded == path else (path, decoded)
 
 
 def _on_disk(base: Path, path: str) -> Path | None:
-    """The file at ``path`` below ``base``, by the spelling on disk if only case or the form of accents differs."""
+    """Return the file at ``path`` below ``base``, by the spelling on disk if only case or the form of accents differs."""
     for text in _spellings(path):
         if (base / text).is_file():
             return base / text
@@ -308,7 +308,7 @@ def _folded(name: str) -> str:
 
 
 def _by_tail(path: str, folder: Path, above: list[Path]) -> Path:
-    """The file that ends as a foreign path does, in the folders above; by its name alone only beside the URDF."""
+    """Return the file that ends as a foreign path does, in the folders above; by its name alone only beside the URDF."""
     parts = [p for p in path.split("/") if p]
     if ".." not in _spellings(path)[-1].split("/"):
         # two names at least: many robots have a base_link.stl
@@ -320,7 +320,7 @@ def _by_tail(path: str, folder: Path, above: list[Path]) -> Path:
 
 
 def _packages(name: str, above: list[Path]) -> list[Path]:
-    """Folders of the package of a name, nearest first: above the URDF, beside these, and where ROS looks.
+    """Return folders of the package of a name, nearest first: above the URDF, beside these, and where ROS looks.
 
     A package is named by the ``<name>`` of its ``package.xml``, or else by its folder.
     """
@@ -340,7 +340,7 @@ def _packages(name: str, above: list[Path]) -> list[Path]:
 
 
 def _folders_called(name: str, above: list[Path]) -> list[Path]:
-    """Folders of a name, above the URDF and beside these, nearest first, whatever their ``package.xml`` calls them."""
+    """Return folders of a name, above the URDF and beside these, nearest first, whatever their ``package.xml`` calls them."""
     if not name or name in (".", "..") or "/" in name or "\0" in name:
         return []
     folders = [p for base in above for p in (base, base / name) if p.name == name and p.is_dir()]

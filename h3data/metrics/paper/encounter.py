@@ -40,7 +40,7 @@ class Thresholds:
 PAPER = Thresholds()
 
 MANY_ROWS = 3_000_000
-"""Rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
+"""Number of rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
 _measured_rows = 0
 
 
@@ -51,7 +51,7 @@ def found_series(
     *,
     thresholds: Thresholds = PAPER,
 ) -> dict[str, NDArray]:
-    """Computes in which rows the robot has found, or follows, the human.
+    """Compute in which rows the robot has found, or follows, the human.
 
     Args:
         robot_pose: pose7 [T, 7].
@@ -75,7 +75,7 @@ def encounter_series(
     starts: NDArray[np.int64] | int = 0,
     thresholds: Thresholds = PAPER,
 ) -> dict[str, NDArray]:
-    """Computes `found_series`, and in which rows the robot makes room for the human.
+    """Compute `found_series`, and in which rows the robot makes room for the human.
 
     The rows may be those of several episodes, one after another, which begin in the rows ``starts``.
 
@@ -149,7 +149,7 @@ def _compiled_series(
 
 @cache
 def _kernel() -> Callable[..., None]:
-    """The kernel, looked up once: the import statement takes a microsecond at each call."""
+    """Return the kernel, looked up once: the import statement takes a microsecond at each call."""
     from h3data.metrics.paper.encounter_kernel import fill_series
 
     return fill_series

@@ -17,7 +17,7 @@ from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, fetch, int
 
 @intrinsic
 def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits, quantities, flags, first, count):
-    """Fills the series of ``count`` times eight rows from row ``first`` on, which has no velocity."""
+    """Fill the series of ``count`` times eight rows from row ``first`` on, which has no velocity."""
 
     def codegen(context, b, signature, arguments):
         *arrays, first, count = (
@@ -86,7 +86,7 @@ def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits
 
 @kernel(error_model="numpy", boundscheck=False)
 def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quantities, flags):
-    """Computes the series of `h3data.metrics.paper.encounter` for many episodes in one pass.
+    """Compute the series of `h3data.metrics.paper.encounter` for many episodes in one pass.
 
     The operations and their order are those of `encounter_series`, so that the results are equal to the last bit.
 

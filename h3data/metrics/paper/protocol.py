@@ -33,7 +33,7 @@ REARRANGEMENT_PROTOCOL: Mapping[str, Any] = {
 
 
 def protocol_deviations(recording: Recording, protocol: Mapping[str, Any]) -> str:
-    """Returns text such as ``max_steps 60 (paper 1500), agents robot, robot (paper robot, human)``; empty if nothing deviates.
+    """Return text such as ``max_steps 60 (paper 1500), agents robot, robot (paper robot, human)``; empty if nothing deviates.
 
     Rules that the recording does not state are taken to agree with the protocol.
     """

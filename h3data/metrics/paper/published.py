@@ -23,7 +23,7 @@ class PublishedResults:
 
 @cache
 def published_results() -> PublishedResults:
-    """Returns the published tables."""
+    """Return the published tables."""
     import msgspec
 
     text = (files("h3data.metrics.paper") / "published.toml").read_bytes()

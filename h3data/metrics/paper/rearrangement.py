@@ -121,7 +121,7 @@ REARRANGEMENT: tuple[Metric, ...] = (
 
 
 def rearrangement_series(recording: Recording) -> Series:
-    """Computes ``done`` (the task is completed), ``at_goal_count`` and ``collision``, each [T], as far as recorded."""
+    """Compute ``done`` (the task is completed), ``at_goal_count`` and ``collision``, each [T], as far as recorded."""
     series: dict[str, NDArray] = {}
     if AT_GOAL in recording.columns:
         at_goal = _at_goal(recording)
@@ -137,7 +137,7 @@ def rearrangement_series(recording: Recording) -> Series:
 
 
 def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
-    """Computes SR, RE, CR, RC and TS.
+    """Compute SR, RE, CR, RC and TS.
 
     Raises:
         MissingColumnsError: none of the columns is there.
@@ -217,7 +217,10 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
 
 
 def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int | None:
-    """Index of the agent that last held a placed object before it stayed at its goal; None if not placed or never held."""
+    """Return the index of the agent that last held a placed object before it stayed at its goal.
+
+    The result is None if the object was not placed, or never held.
+    """
     # an object that was at its goal all along was carried by nobody
     if not at_goal[-1] or at_goal.all():
         return None

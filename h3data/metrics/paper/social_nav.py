@@ -24,7 +24,7 @@ GEODESIC, COLLISION = "metrics.geodesic_agents", "metrics.collision"
 
 
 def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
-    """Computes S, SPS, F, CR, BYR, TD and FD between the first robot and the first human of each recording."""
+    """Compute S, SPS, F, CR, BYR, TD and FD between the first robot and the first human of each recording."""
     agents = [find_agents(recording) for recording in recordings]
     # all episodes as one long array: NumPy's calls take longer than the arithmetic on one of them
     series, offsets = _joined_series(recordings, agents)
@@ -53,12 +53,12 @@ def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) 
 
 
 def social_nav_series(recording: Recording) -> Series:
-    """Computes `encounter_series` between the first robot and the first human, and ``collision`` if recorded, each [T]."""
+    """Compute `encounter_series` between the first robot and the first human, and ``collision`` if recorded, each [T]."""
     return _joined_series([recording], [find_agents(recording)])[0]
 
 
 def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
-    """Returns the distance that decides about finding and following [m], shape [T]: geodesic if recorded, else L2."""
+    """Return the distance that decides about finding and following [m], shape [T]: geodesic if recorded, else L2."""
     if GEODESIC in recording.columns:
         # the same type from either source, so that limits compare alike
         return recording.columns[GEODESIC].astype(np.float32, copy=False)
@@ -66,7 +66,7 @@ def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.f
 
 
 def l2_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
-    """Returns the straight distance between the base positions of two agents [m], shape [T]; NaN where one is absent."""
+    """Return the straight distance between the base positions of two agents [m], shape [T]; NaN where one is absent."""
     a, b = (recording.agent_column(agent, "base_pose")[:, :3].astype(np.float64) for agent in (robot, human))
     return np.linalg.norm(a - b, axis=1).astype(np.float32)
 
@@ -85,7 +85,7 @@ class _Counted(NamedTuple):
     found: _Occurrences
     contacts: _Occurrences
     unseen: int
-    """Rows in which an agent has no pose."""
+    """Number of rows in which an agent has no pose."""
     making_room: int
     distance: NDArray[np.float64]
     """L2 distance, shape [T] [m]; NaN where unseen."""
@@ -120,7 +120,7 @@ def _joined_series(
 
 
 def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_Occurrences]:
-    """Returns the steps at which a flag holds in each episode."""
+    """Return the steps at which a flag holds in each episode."""
     rows = np.flatnonzero(flags)
     bounds = np.searchsorted(rows, offsets)
     # an episode without the flag gets the first row of a later one, or -1: its total of 0 says that it counts for nothing
@@ -191,7 +191,7 @@ def _distances(episode: _Counted, notes: Notes) -> dict[str, float]:
 
 
 def _mean(distance: NDArray[np.float64]) -> float:
-    """Mean of the distances that are known, of which there is at least one."""
+    """Return the mean of the distances that are known, of which there is at least one."""
     known = distance[~np.isnan(distance)]
     # One after the other: np.sum adds pairwise, whose last bit depends on the number of rows and on NumPy's blocks.
     return float(np.add.accumulate(known)[-1]) / len(known)
@@ -219,7 +219,7 @@ def _against_oracle(recording: Recording, steps: int, following: int, notes: Not
 
 
 def _is_count(value: object) -> bool:
-    """Returns whether ``value`` is a whole number of at least 1. JSON readers may return 120.0 for 120."""
+    """Return whether ``value`` is a whole number of at least 1. JSON readers may return 120.0 for 120."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return value >= 1 and float(value).is_integer()

@@ -37,7 +37,7 @@ class AssetFolders:
         self._resolved: dict[str, Path | None] = {}
 
     def resolve(self, uri: str) -> Path | None:
-        """The file that a recorded path means, or None.
+        """Return the file that a recorded path means, or None.
 
         Tried in this order: the path below each root, the same with the known aliases of its folder, then the file
         below a root that shares the longest end of the path. A shared file name alone is not enough (every YCB object
@@ -50,7 +50,7 @@ class AssetFolders:
         return self._resolved[uri]
 
     def named(self, name: str) -> list[Path]:
-        """All files with this name, in upper or lower case, in any folder below the roots."""
+        """Return all files with this name, in upper or lower case, in any folder below the roots."""
         return [path for _, path in self._files().get(name.lower(), ())]
 
     def _candidates(self, path: str) -> Iterable[Path]:
@@ -96,7 +96,7 @@ class AssetFolders:
 
 
 def clean_path(uri: str) -> str:
-    """A recorded path without its material suffix (``?phong_...``) and without ``..``, with forward slashes."""
+    """Return a recorded path without its material suffix (``?phong_...``) and without ``..``, with forward slashes."""
     path = posixpath.normpath(uri.split("?", 1)[0].replace("\\", "/"))
     while path.startswith("../"):  # relative to a folder that we do not know: never look outside the roots
         path = path[3:]
@@ -104,7 +104,7 @@ def clean_path(uri: str) -> str:
 
 
 def _telling_enough(shared: Sequence[str]) -> bool:
-    """Returns whether a shared end of two paths is enough to say that they mean the same file."""
+    """Return whether a shared end of two paths is enough to say that they mean the same file."""
     telling = re.compile(r"[0-9a-f]{12,}|\d{3,}|\d+-\d+")
     if len(shared) >= 3 or any(telling.search(name) for name in shared):
         return len(shared) > 0

@@ -12,7 +12,7 @@ HANDLE = "handle:"
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
-    """The one file that makes the template ``name``: a config goes before a bare mesh; None if there is no file.
+    """Return the one file that makes the template ``name``: a config goes before a bare mesh; None if there is no file.
 
     Raises:
         SceneError: several would do; the message lists them.

@@ -40,7 +40,7 @@ class AssetLibrary:
         scene: Scene | None = None,
         own_folder: Path | None = None,
     ) -> None:
-        """Takes the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
+        """Take the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
         self.own_folder = own_folder
         self.folders = roots if isinstance(roots, AssetFolders) else AssetFolders(roots)
         self.scene = scene
@@ -72,18 +72,18 @@ class AssetLibrary:
         return self.folders.roots
 
     def resolve(self, uri: str) -> Path | None:
-        """The file that a recorded path means, or None; see `AssetFolders.resolve`."""
+        """Return the file that a recorded path means, or None; see `AssetFolders.resolve`."""
         return self.folders.resolve(uri) or self._beside(uri)
 
     def mesh(self, ref: AssetRef) -> Mesh | None:
-        """The mesh of an asset in our frame and metres; None if it is missing or unreadable."""
+        """Return the mesh of an asset in our frame and metres; None if it is missing or unreadable."""
         mesh = self._mesh(ref)
         if mesh is not None and ref.color is not None:
             mesh = painted(mesh, ref.color)
         return mesh
 
     def skinned(self, ref: AssetRef) -> SkinnedMesh | None:
-        """The skinned mesh of an asset; None if its file is missing, unreadable or has no skin."""
+        """Return the skinned mesh of an asset; None if its file is missing, unreadable or has no skin."""
         # a colon marks generated meshes, those of the scene, and handles: no file, so no skin
         path = None if ":" in ref.uri else self.resolve(ref.uri)
         if path is None:
@@ -96,12 +96,12 @@ class AssetLibrary:
         return found if found is None or ref.color is None else replace(found, mesh=painted(found.mesh, ref.color))
 
     def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:
-        """A clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
+        """Return a clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
         del body  # its scale is applied by the renderer; nothing else in the file is known to affect the size
         return placeholder_mesh(clean_path(ref if isinstance(ref, str) else ref.uri))
 
     def _beside(self, uri: str) -> Path | None:
-        """A file in the folder that came with the replay."""
+        """Return a file in the folder that came with the replay."""
         path = PurePosixPath(clean_path(uri))
         # only below the folder itself: a recorded path must not reach what lies beside it
         if self.own_folder is None or path.parts[:1] != (self.own_folder.name,):
@@ -131,7 +131,7 @@ class AssetLibrary:
             return self._note_unreadable(ref.uri, str(fault))
 
     def _template(self, uri: str, name: str) -> Mesh | None:
-        """The mesh of an object that a log names by its handle."""
+        """Return the mesh of an object that a log names by its handle."""
         configs, meshes = (self.folders.named(name + ending) for ending in (CONFIG_ENDING, ".glb"))
         try:
             file = file_of_template(name, configs, meshes)

@@ -21,7 +21,7 @@ MAGENTA = (255, 0, 200)
 
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
-    """Returns the probable kind of a missing file, from its recorded path alone."""
+    """Return the probable kind of a missing file, from its recorded path alone."""
     kinds: dict[PlaceholderKind, str] = {
         "human": r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$",
         "robot_link": r"(^|/)robots?/|hab_spot_arm|hab_fetch|hab_stretch",
@@ -37,7 +37,7 @@ def placeholder_kind(uri: str) -> PlaceholderKind:
 
 @lru_cache(maxsize=512)
 def placeholder_mesh(uri: str) -> Mesh:
-    """A striped stand-in for a missing file, in the frame of its node: +Y up (robot links: z up).
+    """Return a striped stand-in for a missing file, in the frame of its node: +Y up (robot links: z up).
 
     Sizes follow from the path: furniture 0.4 m, standing on its origin (of 308 HSSD objects in a real session 181
     have their origin exactly at the floor), doors and windows 0.4 m around it, YCB objects 0.1 m, a person of 1.7 m
@@ -93,7 +93,7 @@ def striped_box(
     stripes: int = 3,
     share: float = 0.35,
 ) -> Mesh:
-    """A box in ``color`` whose six faces carry ``stripes`` magenta stripes that cover ``share`` of them."""
+    """Return a box in ``color`` whose six faces carry ``stripes`` magenta stripes that cover ``share`` of them."""
     middles = (np.arange(stripes) + 0.5) / stripes * 2 - 1
     edges = np.unique(np.concatenate([[-1, 1], middles - share / stripes, middles + share / stripes]))
     # one face of the unit cube at +z, cut along x; the others are rotations of it
@@ -112,7 +112,7 @@ def striped_box(
 
 
 def _figure(color: Sequence[int]) -> Mesh:
-    """A standing person of 1.7 m made of capsules: +Y up, +Z forward, +X left, origin 0.9 m above the soles."""
+    """Return a standing person of 1.7 m made of capsules: +Y up, +Z forward, +X left, origin 0.9 m above the soles."""
     limbs = [
         ((0, 0.02, 0), (0, 0.45, 0), 0.13),  # trunk
         ((0, 0.62, 0.02), (0, 0.70, 0.02), 0.095),  # head

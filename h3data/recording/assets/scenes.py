@@ -9,12 +9,13 @@ import numpy as np
 
 from h3data.recording.records import AssetRef, Body
 from h3data.scene import Scene, save_scene, scene_digest
+from h3data.scene.kinds import KINDS
 
 
 # Episodes of a run often share their home.
 @lru_cache(maxsize=4)
 def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
-    """Assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
+    """Return assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
     assets = tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets)
     bodies = tuple(
         Body(
@@ -36,3 +37,15 @@ def scene_attachment(scene: Scene) -> tuple[bytes, str]:
     buffer = io.BytesIO()
     save_scene(scene, buffer)
     return buffer.getvalue(), scene_digest(scene)
+
+
+def categories_of(scene: Scene) -> list[str]:
+    """Return names of the semantic classes that a scene may have, in the order of their ids.
+
+    For homes these are the classes of their generation, with those of stairs where there are several storeys; for all other
+    scenes those of the first generation.
+    """
+    # scenes of other makers get ids from the first generation, by the names of their categories
+    home = scene.source if scene.source.get("kind") == "home" else {}
+    generation, storeys = home.get("generation", 1), home.get("storeys", 1)
+    return [kind.name for kind in KINDS.values() if kind.generation <= generation and kind.storeys <= storeys]

@@ -62,7 +62,7 @@ def load_skinned_mesh(
     front: tuple[float, float, float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> SkinnedMesh | None:
-    """The skinned mesh of a glTF file, None if nothing in it is skinned; arguments and errors as `load_mesh`.
+    """Return the skinned mesh of a glTF file, None if nothing in it is skinned; arguments and errors as `load_mesh`.
 
     Parts that no skin moves follow the root. Only the four influences of ``JOINTS_0`` are read.
     """

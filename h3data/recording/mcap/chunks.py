@@ -18,7 +18,7 @@ row [bytes] that is worth a longer chunk: 62 for a looping clip, 0 to 18 in our 
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First row of each stretch of 10 s, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
+    """Return the first row of each stretch of 10 s, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
 
     Without rows there is one stretch, which is empty.
     """
@@ -31,7 +31,7 @@ def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
 
 
 def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
-    """Returns whether poses repeat bit for bit over more than 10 s, such as a looping clip in local rotations.
+    """Return whether poses repeat bit for bit over more than 10 s, such as a looping clip in local rotations.
 
     Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of 60
     frames. Such a recording gets chunks as large as they may be. If its file is cut inside of one, the complete compressed

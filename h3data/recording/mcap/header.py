@@ -25,13 +25,13 @@ def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> i
 
 
 def log_time(t0_unix_ns: int, time_ns: int) -> int:
-    """Time of a message [ns since 1970], clipped to the range that MCAP readers accept."""
+    """Return the time of a message [ns since 1970], clipped to the range that MCAP readers accept."""
     # MCAP has unsigned times of 64 bits, but many readers hold them in signed ones
     return min(max(t0_unix_ns + time_ns, 0), 2**63 - 1)
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
-    """Metadata records that open a log, by name."""
+    """Return the metadata records with which a log begins, by name."""
     episode = episode_metadata(header.episode)
     try:
         # names with lone surrogates come from file systems, and would fail in the middle of the file
@@ -45,18 +45,18 @@ def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, 
 
 
 def episode_metadata(episode: Episode) -> dict[str, str]:
-    """The episode as a metadata record, all values as text."""
+    """Return the episode as a metadata record, all values as text."""
     # MCAP allows nothing but text in metadata
     return {k: str(v) for k, v in episode_to_dict(episode).items()}
 
 
 def scene_dict(header: RecordingHeader | Recording) -> dict[str, Any]:
-    """Fields of the message on ``/h3/scene``."""
+    """Return fields of the message on ``/h3/scene``."""
     return {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
 
 
 def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
-    """A serialised message of `struct_descriptor`; an `InputError` if it cannot hold a value."""
+    """Return a serialised message of `struct_descriptor`; an `InputError` if it cannot hold a value."""
     try:
         return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
     except (ValueError, TypeError, OverflowError) as error:

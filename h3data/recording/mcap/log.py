@@ -56,7 +56,7 @@ from h3data.recording.storage import RemotePath, local
 CHUNK_BYTES = 4 << 20
 """Largest uncompressed size of a chunk."""
 FLUSH_ROWS = 30
-"""Rows between flushes: one second at 30 steps/s."""
+"""Number of rows between flushes: one second at 30 steps/s."""
 FLUSH_S = 1.0
 
 
@@ -81,7 +81,7 @@ class LogWriter:
         flush_rows: int = FLUSH_ROWS,
         flush_s: float = FLUSH_S,
     ) -> None:
-        """Creates ``<path>.part`` and writes everything known before the first step.
+        """Create ``<path>.part`` and write everything known before the first step.
 
         ``header.columns`` fixes the columns unless it is empty; then the first `append` does. Rows, skills, events and
         inputs of a `Recording` given as the header are not written. Log times are ``time_ns`` plus ``t0_unix_ns``, which
@@ -146,7 +146,7 @@ class LogWriter:
         return 0 if self._rows is None else self._rows.steps
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
-        """Writes one or more steps: every column, time first, shape [n, ...] with the same n for all."""
+        """Write one or more steps: every column, time first, shape [n, ...] with the same n for all."""
         added = self._add(rows)
         assert self._rows is not None
         due = self._rows.steps - self._rows.taken >= self._flush_rows
@@ -157,7 +157,7 @@ class LogWriter:
             self.flush()
 
     def append_recording(self, recording: Recording) -> None:
-        """Writes all steps, skills, events and inputs of a recording.
+        """Write all steps, skills, events and inputs of a recording.
 
         Chunks span at most 10 s (`chunks.repeats` names the exception). Events, inputs and skills follow
         the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
@@ -188,7 +188,7 @@ class LogWriter:
             self._mcap.add_message(self._event_channel, t, data, t)
 
     def input(self, event: InputEvent) -> None:
-        """Writes one message of a person's input device."""
+        """Write one message of a person's input device."""
         self._require_open()
         data = encode_record("h3.Input", struct_to_dict(event))
         t = self._log_time(event.time_ns)
@@ -198,7 +198,7 @@ class LogWriter:
             self._mcap.add_message(self._input_channel, t, data, t)
 
     def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
-        """Writes a high-level action and returns its number.
+        """Write a high-level action and return its number.
 
         A skill that has just begun can be written as ``running`` and again with ``replaces=<its number>`` when it ends:
         readers keep the last one. A crash then does not lose the action under way.
@@ -222,7 +222,7 @@ class LogWriter:
         self._flushed_at = time.monotonic()
 
     def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
-        """Finishes, syncs and renames the file; returns its final path. A second call does nothing.
+        """Finish, sync and rename the file; return its final path. A second call does nothing.
 
         ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
@@ -251,7 +251,7 @@ class LogWriter:
         return self.path
 
     def abort(self, *, keep: bool = True) -> None:
-        """Stops here. The rows so far stay as ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False."""
+        """Stop here. The rows so far stay as ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False."""
         if self.closed:
             return
         try:
@@ -285,7 +285,7 @@ class LogWriter:
 
     # --- private ---
     def _add(self, rows: Mapping[str, ArrayLike]) -> int:
-        """Holds rows until they are written; returns their number."""
+        """Hold rows until they are written; return their number."""
         self._require_open()
         arrays = native_rows(rows)
         if self._rows is None:
@@ -321,7 +321,7 @@ class LogWriter:
         self._spans = max(self._spans, number + 1)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
-        """Takes the columns from arrays without rows, checks them against the header and announces them in the file."""
+        """Take the columns from arrays without rows, check them against the header and announce them in the file."""
         layout = layout_of(empty)
         h = self.header
         # only for its checks, which refuse columns that do not fit the header before anything is written
@@ -337,7 +337,7 @@ class LogWriter:
         return PendingRows(layout)
 
     def _write_pending(self) -> None:
-        """Encodes the rows since the last flush as one block and adds its messages to the open chunk."""
+        """Encode the rows since the last flush as one block and add its messages to the open chunk."""
         rows = {} if self._rows is None else self._rows.take()
         if self._rows is None or not rows:
             return

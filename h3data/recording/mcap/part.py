@@ -12,12 +12,12 @@ from h3data.errors import InputError
 
 
 def part_path(path: Path) -> Path:
-    """Name of a file while it is being written."""
+    """Return the name of a file while it is being written."""
     return path.with_name(path.name + ".part")
 
 
 def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
-    """A new file under its temporary name, without a buffer; tests replace this by disks that fill up."""
+    """Return a new file under its temporary name, without a buffer; tests replace this by disks that fill up."""
     # without a buffer, because `Backlog` has to know which bytes the disk took
     return open(part, "wb" if overwrite else "xb", buffering=0)  # type: ignore[return-value]
 
@@ -33,7 +33,7 @@ class Backlog:
         self._file, self._left, self._end = file, bytearray(), 0
 
     def write(self, data: bytes) -> int:
-        """Appends bytes to the buffer, writes the buffer to the file once it is large, and returns the number of bytes."""
+        """Append bytes to the buffer, write the buffer to the file once it is large, and return the number of bytes."""
         self._left += data
         self._end += len(data)
         # not left to the next flush where the disk takes it: without one for long, all of it would gather in
@@ -45,11 +45,11 @@ class Backlog:
         return len(data)
 
     def tell(self) -> int:
-        """Number of bytes written to the stream, including those still in the buffer."""
+        """Return the number of bytes written to the stream, including those still in the buffer."""
         return self._end
 
     def flush(self) -> None:
-        """Writes the whole buffer to the file.
+        """Write the whole buffer to the file.
 
         Raises:
             OSError: the disk is full or fails.
@@ -62,12 +62,12 @@ class Backlog:
         return self._file.fileno()
 
     def close(self) -> None:
-        """Closes the underlying file; bytes still in the buffer are lost."""
+        """Close the underlying file; bytes still in the buffer are lost."""
         self._file.close()
 
     @property
     def closed(self) -> bool:
-        """Returns whether the underlying file is closed."""
+        """Return whether the underlying file is closed."""
         return self._file.closed
 
     def _hand_over(self) -> None:
@@ -78,7 +78,7 @@ class Backlog:
 
 
 def publish(part: Path, final: Path) -> None:
-    """Gives a finished, synced file its final name; the rename itself is synced too."""
+    """Give a finished, synced file its final name; the rename itself is synced too."""
     os.replace(part, final)
     # the name is in the folder, which has to reach the disk as well: else the file is there and cannot be found
     folder = os.open(final.parent, os.O_RDONLY)
@@ -92,7 +92,7 @@ class PartFile:
     """The file of a log from its first byte to its final name."""
 
     def __init__(self, final: Path, *, overwrite: bool) -> None:
-        """Creates ``<final>.part``.
+        """Create ``<final>.part``.
 
         Raises:
             InputError: either file exists and ``overwrite`` is False, or the file cannot be created.
@@ -112,7 +112,7 @@ class PartFile:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """Turns I/O errors within the block into an `InputError` that says what can be recovered."""
+        """Turn I/O errors within the block into an `InputError` that says what can be recovered."""
         try:
             yield
         except FileExistsError:
@@ -125,7 +125,7 @@ class PartFile:
             ) from error
 
     def complete(self) -> None:
-        """Syncs everything to the disk and gives the file its final name. After an `OSError` it can be called again."""
+        """Sync everything to the disk and give the file its final name. After an `OSError` it can be called again."""
         # a second call after a failed rename must not write to a closed file
         if not self.stream.closed:
             self.stream.flush()
@@ -134,12 +134,12 @@ class PartFile:
         publish(self.path, self.final)
 
     def shut(self) -> None:
-        """Closes the file; its contents stay under the current name."""
+        """Close the file; its contents stay under the current name."""
         with contextlib.suppress(OSError):  # closing flushes; a full disk was reported before
             self.stream.close()
 
     def discard(self) -> None:
-        """Deletes the unfinished file."""
+        """Delete the unfinished file."""
         self.path.unlink(missing_ok=True)
 
     def _refuse_existing(self, *, overwrite: bool) -> None:

@@ -33,7 +33,7 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 
 
 def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
-    """The recording in an MCAP file, exactly as it was written.
+    """Return the recording in an MCAP file, exactly as it was written.
 
     With ``columns`` only these and the indispensable ones (time, object and base poses) are decoded. Of a log that another
     program has written anew without its metadata records, there are all steps, skills and events; the task is ``unknown``, and
@@ -68,7 +68,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
 
 # --- kinds of files --------------------------------------------------------------------------------------------------
 def load(path: AnyPath) -> bytes:
-    """Contents of a file; an `InputError` or `FormatError` if it cannot be read."""
+    """Return contents of a file; an `InputError` or `FormatError` if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -82,7 +82,7 @@ def load(path: AnyPath) -> bytes:
 
 
 def check_kind(log: McapRecords, path: AnyPath) -> None:
-    """Raises a `FormatError` unless the records are those of an h3data log of a version we read."""
+    """Raise a `FormatError` unless the records are those of an h3data log of a version we read."""
     if not log.readable_bytes:
         raise FormatError(
             f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}", code="H3-RECORDING-019"
@@ -102,7 +102,7 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
 
 # --- logs without metadata records ------------------------------------------------------------------------------------
 def lacks_records(log: McapRecords) -> bool:
-    """Returns whether another program rewrote the log without our metadata records; each log of ours begins with one."""
+    """Return whether another program rewrote the log without our metadata records; each log of ours begins with one."""
     ours = any(name.startswith("h3.") for name in log.metadata)
     return not ours and log.channel_of("/h3/scene") is not None
 
@@ -118,7 +118,7 @@ def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
 def reconstruct(
     log: McapRecords, path: AnyPath, *, steps: int | None = None, first: Sequence[memoryview] | None = None
 ) -> None:
-    """Adds the metadata records, as far as the topics tell them: columns, number of steps, and time between steps.
+    """Add the metadata records, as far as the topics tell them: columns, number of steps, and time between steps.
 
     Task, scene, seed and settings are lost; ``info["recovered"]`` says so. ``steps`` and ``first`` are the number of messages
     on ``/h3/state`` and the first two of them, taken from the log if None.
@@ -151,7 +151,7 @@ def reconstruct(
 
 
 def _step_ns(log: McapRecords, channel: int | None, first: Sequence[memoryview]) -> int:
-    """Time from the first step to the second [ns], or that of our tasks."""
+    """Return the time from the first step to the second [ns], or that of our tasks."""
     if channel is None or len(first) < 2:
         return STEP_NS
     _, schema, metadata = log.channels[channel]
@@ -174,7 +174,7 @@ def _messages(log: McapRecords, topic: str) -> list[Any]:
 
 
 def _plain(message: Any) -> dict[str, Any]:
-    """Fields of a protobuf message as plain values, except lists of messages."""
+    """Return fields of a protobuf message as plain values, except lists of messages."""
     out = {}
     for f in message.DESCRIPTOR.fields:
         if f.message_type is None:
@@ -186,7 +186,7 @@ def _plain(message: Any) -> dict[str, Any]:
 def columns_of(
     log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Columns of all topics: exactly ``steps`` rows from row ``first``, or the unbroken rows from there if None."""
+    """Return columns of all topics: exactly ``steps`` rows from row ``first``, or the unbroken rows from there if None."""
     parts: list[dict[str, NDArray[Any]]] = []
     for topic, message in TOPIC_MESSAGES.items():
         channel = log.channel_of(f"/h3/{topic}")
@@ -233,7 +233,7 @@ def _layout(log: McapRecords) -> Layout | None:
 def assemble(
     log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
 ) -> Recording:
-    """The recording in these records; ``steps`` and ``first`` as for `columns_of`."""
+    """Return the recording in these records; ``steps`` and ``first`` as for `columns_of`."""
     if "h3.episode" not in log.metadata:
         raise FormatError("it ends before the episode record", code="H3-RECORDING-021")
     episode = episode_from_dict(log.metadata["h3.episode"], path=path)

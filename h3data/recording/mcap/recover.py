@@ -30,7 +30,7 @@ class Recovery:
 def recover_mcap(
     path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Recovery:
-    """Saves all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
+    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
 
     ``info["recovered"]`` of the new episode says why. Reading stops at the first damage; nothing is guessed. The original
     is kept, even if ``out`` is the name it was meant to have.

@@ -15,7 +15,7 @@ Rows = dict[str, NDArray[Any]]
 
 
 def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
-    """Rows as arrays in this machine's byte order."""
+    """Return rows as arrays in this machine's byte order."""
     arrays = {name: np.asarray(values) for name, values in rows.items()}
     # numpy keeps the byte order of files that were read, but the wire has only one
     return {n: a if a.dtype.isnative else a.astype(a.dtype.newbyteorder("=")) for n, a in arrays.items()}
@@ -26,16 +26,16 @@ class PendingRows:
 
     def __init__(self, layout: Layout) -> None:
         self.steps = 0
-        """Rows added so far."""
+        """Number of rows added so far."""
         self.taken = 0
-        """Rows returned by `take` so far."""
+        """Number of rows returned by `take` so far."""
         self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
         self._pending: list[Rows] = []
         self._times: list[NDArray[np.int64]] = []
         self._last_time: int | None = None
 
     def add(self, arrays: Rows) -> None:
-        """Holds a copy of n rows: every column, shape [n, ...].
+        """Hold a copy of n rows: every column, shape [n, ...].
 
         Raises:
             InputError: columns are missing or have another dtype or shape, or time does not increase.
@@ -48,7 +48,7 @@ class PendingRows:
         self.steps += count
 
     def take(self) -> Rows:
-        """All rows held, joined; {} if there are none."""
+        """Return all rows held, joined; {} if there are none."""
         pending, self._pending = self._pending, []
         if not pending:
             return {}
@@ -70,7 +70,7 @@ class PendingRows:
         return int(self._times[0][max(step, 0)])
 
     def _check(self, arrays: Rows) -> int:
-        """Number of rows; an `InputError` unless all columns have it, with the dtype and shape of the layout."""
+        """Return the number of rows; an `InputError` unless all columns have it, with the dtype and shape of the layout."""
         times = arrays.get("time_ns")
         count = len(times) if times is not None and times.ndim else 0
         faults = []

@@ -15,11 +15,10 @@ from typing import Any
 from h3data.errors import FormatError
 
 MAGIC = b"\x89MCAP0\r\n"
-_RECORD = struct.Struct("<BQ")
+RECORD_HEAD = struct.Struct("<BQ")
+"""Beginning of a record: opcode and length."""
 MESSAGE = struct.Struct("<BQH")
 """Beginning of a message record: opcode, length and channel."""
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""Times of the first and last message, uncompressed size and checksum, and length of the name of the compression."""
 _MESSAGE_HEAD = 22  # channel, sequence, log time, publish time
 # A damaged length must not allocate all memory of the machine.
 _LARGEST_CHUNK = 1 << 32
@@ -43,7 +42,7 @@ class McapRecords:
     fault: str | None = None
 
     def channel_of(self, topic: str) -> int | None:
-        """Id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
+        """Return the id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:
@@ -74,7 +73,7 @@ def decoding_errors() -> tuple[type[Exception], ...]:
 
 
 def scan_records(data: bytes) -> McapRecords:
-    """All records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
+    """Return all records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
     log = McapRecords(size=len(data))
     if data[: len(MAGIC)] != MAGIC:
         log.fault = "empty" if not data else f"starts with {data[:8]!r}"
@@ -84,15 +83,15 @@ def scan_records(data: bytes) -> McapRecords:
     ended = False
     try:
         while True:
-            if position + _RECORD.size > len(data):
+            if position + RECORD_HEAD.size > len(data):
                 raise EOFError(f"truncated at byte {position}")
-            opcode, length = _RECORD.unpack_from(data, position)
-            end = position + _RECORD.size + length
+            opcode, length = RECORD_HEAD.unpack_from(data, position)
+            end = position + RECORD_HEAD.size + length
             if end > len(data):
                 if opcode == _CHUNK and not ended:
-                    take_beginning(log, view[position + _RECORD.size :])
+                    take_beginning(log, view[position + RECORD_HEAD.size :])
                 raise EOFError(f"truncated inside a record that starts at byte {position}")
-            body = view[position + _RECORD.size : end]
+            body = view[position + RECORD_HEAD.size : end]
             if not ended:  # the summary only repeats records, and may be damaged
                 take(log, opcode, body)
             if opcode == _DATA_END:
@@ -114,13 +113,13 @@ def scan_records(data: bytes) -> McapRecords:
 
 
 def check_crc(expected: int, data: memoryview, what: str) -> None:
-    """Raises a `ValueError` if there is a checksum (not 0) and the data have another."""
+    """Raise a `ValueError` if there is a checksum (not 0) and the data have another."""
     if expected and zlib.crc32(data) != expected:
         raise ValueError(f"the checksum of the {what} does not match")
 
 
 def take(log: McapRecords, opcode: int, body: memoryview) -> None:
-    """Adds the contents of one record to the log; skips indexes and unknown records."""
+    """Add the contents of one record to the log; skip indexes and unknown records."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
@@ -178,15 +177,17 @@ def decompress(body: memoryview) -> bytes:
 
 
 def take_beginning(log: McapRecords, body: memoryview) -> None:
-    """Adds the records of a chunk whose end is missing, as far as its compressed blocks (of up to 128 KiB) are complete.
+    """Add the records of a chunk whose end is missing, as far as its compressed blocks (of up to 128 KiB) are complete.
 
     No checksum covers them: the chunk's own is that of the whole chunk.
     """
     import zstandard
 
-    _, _, size, _, name_size = _CHUNK_HEAD.unpack_from(body)
+    # times of the first and last message, uncompressed size and checksum, and length of the name of the compression
+    head = struct.Struct("<QQQII")
+    _, _, size, _, name_size = head.unpack_from(body)
     # 8 bytes for the length of the records, which nobody needs here: they end with the file
-    name, start = bytes(body[_CHUNK_HEAD.size :][:name_size]), _CHUNK_HEAD.size + name_size + 8
+    name, start = bytes(body[head.size :][:name_size]), head.size + name_size + 8
     data = bytes(body[start:])
     if name == b"zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
@@ -201,14 +202,14 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
 
 
 def _take_chunk(log: McapRecords, data: bytes, *, whole: bool = True) -> None:
-    """Sorts the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
+    """Sort the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
     view, position, size = memoryview(data), 0, len(data)
-    skip, unpack, messages = _RECORD.size + _MESSAGE_HEAD, MESSAGE.unpack_from, log.messages
+    skip, unpack, messages = RECORD_HEAD.size + _MESSAGE_HEAD, MESSAGE.unpack_from, log.messages
     while position < size:
         if not whole and position + MESSAGE.size > size:
             return
         opcode, length, channel = unpack(data, position)
-        end = position + _RECORD.size + length
+        end = position + RECORD_HEAD.size + length
         if end > size:
             if not whole:
                 return
@@ -219,5 +220,5 @@ def _take_chunk(log: McapRecords, data: bytes, *, whole: bool = True) -> None:
                 of_channel = messages[channel] = []
             of_channel.append(view[position + skip : end])
         else:
-            take(log, opcode, view[position + _RECORD.size : end])
+            take(log, opcode, view[position + RECORD_HEAD.size : end])
         position = end

@@ -21,7 +21,7 @@ _RESTORE = (
 
 
 def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> dict[str, str]:
-    """Stores attachments in ``<folder>/h3/files`` and returns the record that names them.
+    """Store attachments in ``<folder>/h3/files`` and return the record that names them.
 
     Raises:
         InputError: ``log`` does not lie in ``folder``, where its readers search.
@@ -36,7 +36,7 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
 
 
 def shared_files(record: Mapping[str, str], log: AnyPath) -> dict[str, bytes]:
-    """The attachments named in a log's record, from ``h3/files`` beside the log or in a folder above it.
+    """Return the attachments named in a log's record, from ``h3/files`` beside the log or in a folder above it.
 
     Raises:
         FormatError: one of them is missing or damaged.

@@ -16,21 +16,31 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.header import TOPIC_MESSAGES
 from h3data.recording.mcap.read import assemble, check_kind, columns_of, lacks_records, reconstruct
-from h3data.recording.mcap.scan import MAGIC, MESSAGE, McapRecords, check_crc, decoding_errors, decompress, take
+from h3data.recording.mcap.scan import (
+    MAGIC,
+    MESSAGE,
+    RECORD_HEAD,
+    McapRecords,
+    check_crc,
+    decoding_errors,
+    decompress,
+    take,
+)
 from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.records import Recording
 from h3data.recording.schema import layout_of
 from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, open_binary
 
-_RECORD = struct.Struct("<BQ")
 _MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
-_ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
     """The steps of a log; the chunks decompressed last are kept."""
+
+    once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
+    """Topics whose messages do not come once per step."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
@@ -52,7 +62,7 @@ class McapSteps(Steps):
         return self._steps
 
     def close(self) -> None:
-        """Closes the log and drops the decompressed chunks from memory."""
+        """Close the log and drop the decompressed chunks from memory."""
         self._file.close()
         self._kept.clear()
 
@@ -66,7 +76,7 @@ class McapSteps(Steps):
         self._read_summary()
         self._places = {
             channel: self._places_of(channel)
-            for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
+            for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *self.once)
             if (channel := self._log.channel_of(topic)) is not None
         }
         # only now, because what is made up for the records needs the places of the messages
@@ -77,7 +87,7 @@ class McapSteps(Steps):
         if "h3.layout" not in self._log.metadata:
             raise ValueError("the record h3.layout is missing")
         self._steps = int(self._log.metadata["h3.end"]["steps"])
-        self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
+        self._per_step = [c for c in self._places if self._log.channels[c][0] not in self.once]
         # steps are found by counting, so a topic with another number of messages would give the rows of other
         # steps
         for channel in self._per_step:
@@ -103,13 +113,13 @@ class McapSteps(Steps):
             for offset in self._attachments:
                 take(self._log, *self._record(offset))
             self._log.attachments |= shared_files(self._log.metadata.get(RECORD, {}), self.path)
-            return self._whole(start, stop, *_ONCE)
+            return self._whole(start, stop, *self.once)
 
         return self._reported(read, f"steps {start} to {stop - 1}")
 
     # --- private ---
     def _reported(self, read: Callable[[], _T], what: str) -> _T:
-        """The result of ``read``; a `FormatError` if the bytes it meets are damaged."""
+        """Return the result of ``read``; a `FormatError` if the bytes it meets are damaged."""
         try:
             return read()
         except FormatError as error:
@@ -128,11 +138,11 @@ class McapSteps(Steps):
         return self._file.read(size)
 
     def _record(self, offset: int) -> tuple[int, memoryview]:
-        opcode, length = _RECORD.unpack(self._bytes(offset, _RECORD.size))
-        return opcode, memoryview(self._bytes(offset + _RECORD.size, length))
+        opcode, length = RECORD_HEAD.unpack(self._bytes(offset, RECORD_HEAD.size))
+        return opcode, memoryview(self._bytes(offset + RECORD_HEAD.size, length))
 
     def _read_summary(self) -> None:
-        """Reads schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
+        """Read schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics
 
@@ -141,7 +151,7 @@ class McapSteps(Steps):
             raise FormatError("Expected an MCAP log, the file does not begin like one.", code="H3-RECORDING-038")
         take(log, *self._record(len(MAGIC)))
         # the footer is the last record, and the only one whose length is fixed
-        footer = log.size - (_RECORD.size + 20 + len(MAGIC))
+        footer = log.size - (RECORD_HEAD.size + 20 + len(MAGIC))
         if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
@@ -151,7 +161,7 @@ class McapSteps(Steps):
                 code="H3-RECORDING-039",
             )
         log.readable_bytes = log.size
-        summary = memoryview(self._bytes(start, footer + _RECORD.size + 16 - start))
+        summary = memoryview(self._bytes(start, footer + RECORD_HEAD.size + 16 - start))
         check_crc(crc, summary, "summary")
         metadata: list[int] = []
         for opcode, body in _records(summary[: footer - start]):
@@ -174,7 +184,7 @@ class McapSteps(Steps):
         check_kind(log, self.path)
 
     def _reconstruct(self) -> None:
-        """Adds the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
+        """Add the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
         if self._metadata_records != 0:
             raise FormatError(
                 "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that.",
@@ -186,7 +196,7 @@ class McapSteps(Steps):
         reconstruct(self._log, self.path, steps=steps, first=first)
 
     def _places_of(self, channel: int) -> list[int]:
-        """Number of messages of a channel before each chunk, and in all chunks together."""
+        """Return the number of messages of a channel before each chunk, and in all chunks together."""
         counts = []
         for chunk in self._chunks:
             offset = chunk.message_index_offsets.get(channel)
@@ -223,15 +233,15 @@ class McapSteps(Steps):
             in_chunk = slice(start - before[number], chunk_stop - before[number])
             for at in begins[channel][in_chunk].tolist() if chunk_stop > start else ():
                 opcode, length, owner = MESSAGE.unpack_from(data, at)
-                end = at + _RECORD.size + length
+                end = at + RECORD_HEAD.size + length
                 if owner != channel or opcode != _MESSAGE_OP or end > len(data):
                     raise ValueError("a message index does not fit its chunk")
                 # after the 22 bytes of channel, sequence, log time and publish time
-                yield data[at + _RECORD.size + 22 : end]
+                yield data[at + RECORD_HEAD.size + 22 : end]
             start, number = chunk_stop, number + 1
 
     def _with_steps(self, start: int, stop: int) -> McapRecords:
-        """The log's records with only these steps."""
+        """Return the log's records with only these steps."""
         return replace(self._log, messages={c: list(self._messages(c, start, stop)) for c in self._per_step})
 
     def _whole(self, start: int, stop: int, *topics: str) -> Recording:
@@ -247,9 +257,9 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Opcode and body of consecutive records; an `EOFError` if the last is cut off."""
     position = 0
     while position < len(data):
-        opcode, length = _RECORD.unpack_from(data, position)
-        end = position + _RECORD.size + length
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        end = position + RECORD_HEAD.size + length
         if end > len(data):
             raise EOFError("a record exceeds its part of the file")
-        yield opcode, data[position + _RECORD.size : end]
+        yield opcode, data[position + RECORD_HEAD.size : end]
         position = end

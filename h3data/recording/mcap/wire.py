@@ -57,7 +57,7 @@ class WireField:
 
     @property
     def repeated(self) -> bool:
-        """Returns whether the field holds several numbers, written as a packed repeated field."""
+        """Return whether the field holds several numbers, written as a packed repeated field."""
         return bool(self.column.shape) and not self._as_bytes
 
     @property
@@ -97,7 +97,7 @@ def varint(value: int) -> bytes:
 
 
 def wire_layouts(layout: Layout) -> dict[Topic, WireLayout]:
-    """Fields of each per-step message for these columns; ``state`` always exists."""
+    """Return fields of each per-step message for these columns; ``state`` always exists."""
     topics: dict[Topic, list[Column]] = {"state": []}
     for column in layout:
         topics.setdefault(log_topic_of(column.name), []).append(column)
@@ -117,7 +117,7 @@ def wire_layouts(layout: Layout) -> dict[Topic, WireLayout]:
 
 
 def _proto_name(name: str, taken: set[str]) -> str:
-    """A protobuf identifier that is unique, also in its camelCase JSON form."""
+    """Return a protobuf identifier that is unique, also in its camelCase JSON form."""
     plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
     plain = plain if plain[:1].isalpha() else f"c_{plain}"
     candidate, n = plain, 2
@@ -130,7 +130,7 @@ def _proto_name(name: str, taken: set[str]) -> str:
 
 # --- blocks of messages -----------------------------------------------------------------------------------------------
 def _template(fields: WireLayout) -> tuple[NDArray[np.uint8], list[int], NDArray[np.bool_]]:
-    """One message with all values 0, the offset of each field's values, and a mask of the bytes that never change."""
+    """Return one message with all values 0, the offset of each field's values, and a mask of the bytes that never change."""
     message, fixed, starts = bytearray(), [], []
     for field in fields:
         message += field.head
@@ -141,7 +141,7 @@ def _template(fields: WireLayout) -> tuple[NDArray[np.uint8], list[int], NDArray
 
 
 def encode_block(fields: WireLayout, columns: Mapping[str, NDArray[Any]], *, first_step: int) -> NDArray[np.uint8]:
-    """Messages of consecutive rows, one per row of the result, shape [n, L]."""
+    """Return messages of consecutive rows, one per row of the result, shape [n, L]."""
     # tags and lengths are the same in all messages, so they are copied and only values are filled in
     template, starts, _ = _template(fields)
     arrays = [columns[f.column.name] for f in fields if f.column is not STEP]
@@ -214,7 +214,7 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
 
 
 def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
-    """Values in the dtype of their column; a `FormatError` if they do not fit."""
+    """Return values in the dtype of their column; a `FormatError` if they do not fit."""
     narrow = values.astype(field.column.dtype, copy=False)
     # protobuf has no integers of 8 and 16 bits, so another writer may have sent larger numbers
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):
@@ -233,7 +233,7 @@ def fields_to_metadata(fields: WireLayout) -> dict[str, str]:
 
 
 def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayout:
-    """The inverse of `fields_to_metadata`, in the order of field numbers, including ``step``."""
+    """Return the inverse of `fields_to_metadata`, in the order of field numbers, including ``step``."""
     try:
         layout = layout_from_json(metadata["h3.columns"])
         named = json.loads(metadata["h3.fields"])

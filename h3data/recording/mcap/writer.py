@@ -51,7 +51,7 @@ class RecordingWriter(LogWriter):
         )
 
     def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
-        """Finishes, syncs, renames and packs the file; returns its final path. A second call does nothing.
+        """Finish, sync, rename and pack the file; return its final path. A second call does nothing.
 
         ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
@@ -75,7 +75,7 @@ def write_mcap(
     overwrite: bool = False,
     share_in: str | os.PathLike[str] | None = None,
 ) -> AnyPath:
-    """Writes a finished recording as one MCAP file and returns its path; equal recordings make equal files.
+    """Write a finished recording as one MCAP file and return its path; equal recordings make equal files.
 
     With ``share_in``, a folder around the file, attachments such as the scene are stored once for all recordings in it
     (``<share_in>/h3/files``). A file for a URI is written to a temporary folder first and uploaded whole.
@@ -106,7 +106,7 @@ def pack_mcap(
     share_in: str | os.PathLike[str] | None = None,
     chunk_bytes: int = CHUNK_BYTES,
 ) -> None:
-    """Replaces a finished log by an equal one with large chunks; without room for it on the disk, leaves it as it is.
+    """Replace a finished log by an equal one with large chunks; without room for it on the disk, leave it as it is.
 
     A program that must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
     """

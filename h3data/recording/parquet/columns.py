@@ -12,7 +12,7 @@ from h3data.recording.schema import Column
 
 
 def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[Any]:
-    """Rows in the declared width, flattened to [T, width]; padded with NaN, -1, 0 (unsigned) or False."""
+    """Return rows in the declared width, flattened to [T, width]; padded with NaN, -1, 0 (unsigned) or False."""
     if values is not None and values.shape[1:] == column.shape:
         return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
     # values that mean "nothing there" in our columns: an absent pose, no body, no skill
@@ -24,7 +24,7 @@ def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[A
 
 
 def numbers(array: pa.Array) -> NDArray[Any]:
-    """The numbers or booleans of an Arrow array, read-only.
+    """Return the numbers or booleans of an Arrow array, read-only.
 
     `pa.Array.to_numpy` does the same, but imports pandas where it is installed: half a second or more.
 
@@ -41,7 +41,7 @@ def numbers(array: pa.Array) -> NDArray[Any]:
 
 
 def to_arrow(rows: NDArray[Any]) -> pa.Array:
-    """Rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; copies only booleans."""
+    """Return rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; copies only booleans."""
     flat = rows.reshape(-1)
     # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
     data = pa.py_buffer(np.packbits(flat, bitorder="little") if flat.dtype == bool else flat)
@@ -79,7 +79,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The table with its columns cast to the types of ``schema``; columns of either that the other lacks are left alone.
+    """Return the table with its columns cast to the types of ``schema``; columns of either that the other lacks are left alone.
 
     Raises:
         ValueError: a column of the schema has nulls.

@@ -33,7 +33,7 @@ class Dataset(DatasetFolder):
     """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
-        """Opens a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
+        """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
         super().__init__(root)
         self._declared = {c.name: c for c in self.schema.columns}
 
@@ -58,7 +58,7 @@ class Dataset(DatasetFolder):
         return (self.recording(index) for index in range(len(self)))
 
     def all(self) -> Episodes:
-        """All episodes, for `Episodes.filter`, `Episodes.split` and `Episodes.merge`."""
+        """Return all episodes, for `Episodes.filter`, `Episodes.split` and `Episodes.merge`."""
         return Episodes(
             # partials and not lambdas: jobs send episodes to other processes, and lambdas cannot be pickled
             StoredEpisode(
@@ -78,7 +78,7 @@ class Dataset(DatasetFolder):
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """Splits the episodes as `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
+        """Split the episodes as `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
         return self.all().split(*shares, seed=seed, by=by)
 
     def merge(self, *others: HasEpisodes) -> Episodes:
@@ -171,11 +171,11 @@ class Dataset(DatasetFolder):
         return episode_video(self.root, row, feature, fps=self.schema.fps)
 
     def videos(self, index: int) -> list[EpisodeVideo]:
-        """The videos of episode ``index`` from all `cameras`; none of an episode without steps."""
+        """Return the videos of episode ``index`` from all `cameras`; none of an episode without steps."""
         return [self.video(index, camera) for camera in self.cameras if self.row(index)["length"]]
 
     def layout(self, index: int) -> Layout:
-        """Columns of one episode with their true shapes."""
+        """Return columns of one episode with their true shapes."""
         return _layout(self.row(index)["columns"])
 
     def to_numpy(self, index: int, stored: Mapping[str, pa.ChunkedArray], rows: int) -> dict[str, NDArray[Any]]:
@@ -205,7 +205,7 @@ class Dataset(DatasetFolder):
 
     # --- as tables ------------------------------------------------------------------------------------------------
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
-        """The steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
+        """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
 
         As stored: a vector is a fixed-size list of the declared width, narrower episodes are padded. Holds all of it in
         memory; for more than that use `iter_columns` or ``h3data sql``.
@@ -244,7 +244,7 @@ class Dataset(DatasetFolder):
             )
 
     def _groups(self, indices: range) -> Iterator[range]:
-        """Runs of episodes of one shard with the same columns, which one read can return."""
+        """Return runs of episodes of one shard with the same columns, which one read can return."""
         start = indices.start
         for index in indices[1:]:
             before, row = self.row(index - 1), self.row(index)
@@ -255,7 +255,7 @@ class Dataset(DatasetFolder):
             yield range(start, indices.stop)
 
     def _read(self, group: range, names: Iterable[str] | None) -> list[dict[str, NDArray[Any]]]:
-        """The columns of each episode of one group."""
+        """Return the columns of each episode of one group."""
         rows = [self.row(index) for index in group]
         wanted = None if names is None else set(names)
         layout = [c for c in self.layout(group[0]) if wanted is None or c.name in wanted]

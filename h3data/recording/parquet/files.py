@@ -23,23 +23,23 @@ def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
 
 
 def shard_files(root: AnyPath, kind: str) -> list[AnyPath]:
-    """All complete files of a kind, in order."""
+    """Return all complete files of a kind, in order."""
     # by number: chunk-1000 comes before chunk-999 as text; temporary names, _file-*, do not match
     return sorted((root / kind).glob("chunk-*/file-*.parquet"), key=shard_number)
 
 
 def shard_number(path: AnyPath) -> int:
-    """The inverse of `shard_path`."""
+    """Return the inverse of `shard_path`."""
     return int(path.parent.name.split("-")[1]) * FILES_PER_CHUNK + int(path.stem.split("-")[1])
 
 
 def is_dataset(root: AnyPath) -> bool:
-    """Returns whether a folder holds a dataset: LeRobot's info.json or our schema."""
+    """Return whether a folder holds a dataset: LeRobot's info.json or our schema."""
     return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
 
 
 def is_begun(root: AnyPath) -> bool:
-    """Returns whether a process was killed in this folder before its dataset had a schema.
+    """Return whether a process was killed in this folder before its dataset had a schema.
 
     Such a folder has a subfolder ``h3`` without any complete file.
     """
@@ -50,7 +50,7 @@ def is_begun(root: AnyPath) -> bool:
 
 
 def write_atomic(path: AnyPath, data: bytes) -> None:
-    """Writes a small file that appears under its name with all of its contents, synced to the disk.
+    """Write a small file that appears under its name with all of its contents, synced to the disk.
 
     Several processes may write the same file at once.
     """

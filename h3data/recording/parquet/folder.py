@@ -66,7 +66,7 @@ class DatasetFolder:
     """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
-        """Opens a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).
+        """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).
 
         Raises:
             InputError: there is no such folder, or it cannot be read.
@@ -155,7 +155,7 @@ class DatasetFolder:
         return rows[index]
 
     def shard_of(self, row: Mapping[str, Any]) -> int:
-        """Number of the files that hold an episode, from its row of `episodes`."""
+        """Return the number of the files that hold an episode, from its row of `episodes`."""
         return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
 
     def read_group(self, group: Sequence[int], names: Sequence[str]) -> pa.Table:
@@ -178,16 +178,16 @@ class DatasetFolder:
         return table.replace_schema_metadata(None)
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard."""
+        """Return the records of a kind in one shard."""
         return self._records.table(kind, shard)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The same episodes in another process, which opens the files for itself."""
+        """Return the same episodes in another process, which opens the files for itself."""
         return {**self.__dict__, "_files": {}, "_records": DatasetRecords(self.root)}
 
     # --- private ---
     def _promised_episodes(self) -> int:
-        """Number of episodes in info.json: a lower bound, because the file is written after the episode tables."""
+        """Return the number of episodes in info.json: a lower bound, because the file is written after the episode tables."""
         path = self.root / "meta" / "info.json"
         if not path.exists():
             return 0  # before the first commit

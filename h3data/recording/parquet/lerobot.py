@@ -92,7 +92,7 @@ def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
 
 
 def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
-    """Writes info.json, tasks.parquet and stats.json again from the committed episodes; returns their number."""
+    """Write info.json, tasks.parquet and stats.json again from the committed episodes; return their number."""
     at = place(root)
     schema, totals = DatasetSchema.load(at), Totals.of(at)
     write_meta(at, schema, totals)
@@ -115,7 +115,7 @@ def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
 
 
 def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:
-    """A pandas table whose *index* is the task string, as LeRobot reads it; written without pandas."""
+    """Return a pandas table whose *index* is the task string, as LeRobot reads it; written without pandas."""
     # the name that pandas gives to an index without one
     index = "__index_level_0__"
     table = pa.table(

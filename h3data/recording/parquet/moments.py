@@ -43,13 +43,13 @@ class Moments:
 
     @classmethod
     def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
-        """Moments from the lists that `to_lists` returned."""
+        """Return moments from the lists that `to_lists` returned."""
         count, mean, m2, low, high, *quantiles = (np.array(list(v), np.float64) for v in lists)
         return cls(count, mean, m2, low, high, np.array(quantiles) if quantiles else None)
 
 
 def moments_of(values: NDArray[Any]) -> Moments:
-    """Moments of rows [T, width]; NaN and infinities do not count."""
+    """Return moments of rows [T, width]; NaN and infinities do not count."""
     x = values if values.dtype.kind == "f" and values.dtype != np.float16 else values.astype(np.float64)
     with np.errstate(all="ignore"):
         finite = np.isfinite(x)
@@ -86,7 +86,7 @@ def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[n
 
 
 def merged(a: Moments, b: Moments) -> Moments:
-    """Moments of both samples together (Chan et al. 1979)."""
+    """Return moments of both samples together (Chan et al. 1979)."""
     with np.errstate(all="ignore"):
         count = a.count + b.count
         share = b.count / np.maximum(count, 1)
@@ -106,7 +106,7 @@ def merged(a: Moments, b: Moments) -> Moments:
 
 
 def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
-    """Adds the moments of more rows to ``total``, feature by feature."""
+    """Add the moments of more rows to ``total``, feature by feature."""
     for name, moments in more.items():
         total[name] = merged(total[name], moments) if name in total else moments
 
@@ -122,13 +122,13 @@ def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, 
 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:
-    """Moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
+    """Return moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
     # JSON and no pickle: metadata of a foreign file are data, and never run
     text = json.dumps({name: m.to_lists() for name, m in moments.items()})
     return base64.b64encode(zlib.compress(text.encode())).decode()
 
 
 def unpack_moments(packed: bytes) -> dict[str, Moments]:
-    """The inverse of `pack_moments`; empty bytes give none."""
+    """Return the inverse of `pack_moments`; empty bytes give none."""
     lists = json.loads(zlib.decompress(base64.b64decode(packed))) if packed else {}
     return {name: Moments.from_lists(v) for name, v in lists.items()}

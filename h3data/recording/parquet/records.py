@@ -55,7 +55,7 @@ class DatasetRecords:
         self._files = FileStore(root / "h3" / "files")
 
     def table(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard."""
+        """Return the records of a kind in one shard."""
         return read_whole(shard_path(self._root, f"h3/{kind}", shard))
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
@@ -86,7 +86,7 @@ class DatasetRecords:
             ) from error
 
     def attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
-        """The attached files of an episode, from its row of the episode table.
+        """Return the attached files of an episode, from its row of the episode table.
 
         Raises:
             FormatError: one of them is missing or damaged.
@@ -110,7 +110,7 @@ class DatasetRecords:
 
 
 def _records(struct: str, table: pa.Table) -> list[Any]:
-    """The records in a table of `record_schema`, column by column: half the time of `struct_from_dict` for each.
+    """Return the records in a table of `record_schema`, column by column: half the time of `struct_from_dict` for each.
 
     Fields that the file lacks keep their defaults.
     """
@@ -123,7 +123,7 @@ def _records(struct: str, table: pa.Table) -> list[Any]:
 
 
 def _cells(column: pa.ChunkedArray, kind: str) -> Sequence[Any]:
-    """The values of a column of this kind: numbers, texts, tuples, or float32 arrays."""
+    """Return the values of a column of this kind: numbers, texts, tuples, or float32 arrays."""
     if not kind.endswith("*"):
         return column.to_pylist()
     lists = column.combine_chunks()

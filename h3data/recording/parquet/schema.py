@@ -73,7 +73,7 @@ EPISODE_SCHEMA = pa.schema(
 
 
 def stored_dtype(column: Column) -> str:
-    """The dtype of a column in the data files: a uint64 is an int64 of the same bits.
+    """Return the dtype of a column in the data files: a uint64 is an int64 of the same bits.
 
     Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
     """
@@ -99,7 +99,7 @@ class DatasetSchema:
     videos."""
 
     def to_json(self) -> bytes:
-        """Contents of ``h3/schema.json``."""
+        """Return contents of ``h3/schema.json``."""
         columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
         values: dict[str, Any] = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
         values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
@@ -113,7 +113,7 @@ class DatasetSchema:
 
     @classmethod
     def load(cls, root: AnyPath) -> Self:
-        """The schema of an existing dataset.
+        """Return the schema of an existing dataset.
 
         Raises:
             FormatError: there is none, it is damaged, or a newer h3data wrote it.
@@ -149,7 +149,7 @@ class DatasetSchema:
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
-    """The narrowest layout that all of these fit; ``max_bodies`` widens ``object_pose``.
+    """Return the narrowest layout that all of these fit; ``max_bodies`` widens ``object_pose``.
 
     Raises:
         InputError: columns of one name differ in dtype or number of axes.

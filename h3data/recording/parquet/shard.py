@@ -36,7 +36,7 @@ class Shard:
     """Files with up to ``episodes_per_file`` episodes, before they are committed."""
 
     def __init__(self, root: Path, number: int, schema: DatasetSchema, *, video_number: int = 0) -> None:
-        """Opens data file ``number`` of the dataset in ``root`` under its temporary name.
+        """Open data file ``number`` of the dataset in ``root`` under its temporary name.
 
         ``video_number`` is that of the last shard with videos.
         """
@@ -54,7 +54,7 @@ class Shard:
         """True if a row group was begun and not finished, so that the file cannot be used."""
         self._arrow = data_schema(schema)
         self._stream = self._open("data")
-        self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))
+        self._writer = pq.ParquetWriter(self._stream, self._arrow, **self._parquet_options())
 
     @property
     def bytes(self) -> int:
@@ -83,7 +83,7 @@ class Shard:
         task: int,
         instruction: str,
     ) -> None:
-        """Writes an episode: its steps as one row group, its row of the episode table, its records and its videos.
+        """Write an episode: its steps as one row group, its row of the episode table, its records and its videos.
 
         ``index`` and ``start`` are the number of the episode and of its first step in the whole dataset.
         """
@@ -129,7 +129,7 @@ class Shard:
         self.spoiled = False
 
     def commit(self) -> None:
-        """Writes the sidecars and the episode table, then gives all files their final names."""
+        """Write the sidecars and the episode table, then give all files their final names."""
         self._writer.close()
         _sync(self._stream)
         for video in self.videos.values():
@@ -146,7 +146,7 @@ class Shard:
             os.replace(part, final)
 
     def discard(self) -> None:
-        """Closes and deletes all files."""
+        """Close and delete all files."""
         with contextlib.suppress(Exception):  # the disk may be full; nothing of this file is wanted
             self._writer.close()
         with contextlib.suppress(OSError):
@@ -157,7 +157,7 @@ class Shard:
             part.unlink(missing_ok=True)
 
     def _add_video(self, key: str, video: EpisodeVideo) -> dict[str, Any]:
-        """Appends an episode's video; returns its place and statistics as columns of the episode table."""
+        """Append an episode's video; return its place and statistics as columns of the episode table."""
         if key not in self.videos:
             part = self._claim(shard_path(self.root, f"videos/{key}", self.number).with_suffix(".mp4"))
             self.videos[key] = VideoAppender(part)
@@ -180,7 +180,7 @@ class Shard:
         return stream
 
     def _claim(self, final: Path) -> Path:
-        """The temporary name of a file, to be renamed at the commit."""
+        """Return the temporary name of a file, to be renamed at the commit."""
         part = self._part_of(final)
         self.parts.append((part, final))
         return part
@@ -206,15 +206,43 @@ class Shard:
                     )
             _sync(stream)
 
+    def _parquet_options(self) -> dict[str, Any]:
+        """zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
+
+        Poses and actions stay PLAIN because they have long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9
+        split, 20 objects 7.5 instead of 9.9; joint rotations take 790 plain, 699 split. Pages are as large as an episode's
+        column, so that each of the four byte streams is compressed in one piece: a looping clip takes 15 B/step instead of 30
+        with pages of 1 MiB.
+        """
+        encodings = {}
+        standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
+        for c in (*standard, *self.schema.columns):
+            path = c.name if c.width == 1 else f"{c.name}.list.element"
+            if c.name.endswith(("_pose", ".action")):
+                encodings[path] = "PLAIN"
+            elif c.dtype in ("float32", "float64"):
+                encodings[path] = "BYTE_STREAM_SPLIT"
+            elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
+                encodings[path] = "DELTA_BINARY_PACKED"
+        return {
+            "compression": "zstd",
+            "compression_level": ZSTD_LEVEL,
+            "data_page_size": PAGE_BYTES,
+            "use_dictionary": False,
+            "column_encoding": encodings,
+            "write_statistics": ["episode_index", "index", "frame_index", "task_index", "time_ns"],
+            "write_page_checksum": True,
+        }
+
 
 def open_shard_file(part: Path) -> IO[bytes]:
-    """A new file under its temporary name; tests replace this by disks that fill up."""
+    """Return a new file under its temporary name; tests replace this by disks that fill up."""
     # must not exist: a second writer is noticed here, before it has destroyed anything
     return open(part, "xb")
 
 
 def _video_place(key: str, number: int, start_s: float, end_s: float) -> dict[str, Any]:
-    """The video file of an episode and its stretch in it [s], as columns of the episode table."""
+    """Return the video file of an episode and its stretch in it [s], as columns of the episode table."""
     chunk, file = divmod(number, FILES_PER_CHUNK)
     place = {"chunk_index": chunk, "file_index": file, "from_timestamp": start_s, "to_timestamp": end_s}
     return {f"videos/{key}/{name}": value for name, value in place.items()}
@@ -232,7 +260,7 @@ def _sync(stream: IO[bytes]) -> None:
 
 
 def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Table:
-    """The records of episode ``index``; an `InputError` if a value cannot be stored."""
+    """Return the records of episode ``index``; an `InputError` if a value cannot be stored."""
     rows = [{"episode_index": index, **record} for record in records]
     try:
         return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))
@@ -240,32 +268,3 @@ def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Ta
         raise InputError(
             f"The {kind} of episode {index}: a value cannot be stored ({error}).", code="H3-RECORDING-075"
         ) from None
-
-
-def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:
-    """zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
-
-    Poses and actions stay PLAIN because they have long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9
-    split, 20 objects 7.5 instead of 9.9; joint rotations take 790 plain, 699 split. Pages are as large as an episode's
-    column, so that each of the four byte streams is compressed in one piece: a looping clip takes 15 B/step instead of 30
-    with pages of 1 MiB.
-    """
-    encodings = {}
-    standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
-    for c in (*standard, *schema.columns):
-        path = c.name if c.width == 1 else f"{c.name}.list.element"
-        if c.name.endswith(("_pose", ".action")):
-            encodings[path] = "PLAIN"
-        elif c.dtype in ("float32", "float64"):
-            encodings[path] = "BYTE_STREAM_SPLIT"
-        elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
-            encodings[path] = "DELTA_BINARY_PACKED"
-    return {
-        "compression": "zstd",
-        "compression_level": ZSTD_LEVEL,
-        "data_page_size": PAGE_BYTES,
-        "use_dictionary": False,
-        "column_encoding": encodings,
-        "write_statistics": ["episode_index", "index", "frame_index", "task_index", "time_ns"],
-        "write_page_checksum": True,
-    }

@@ -25,7 +25,7 @@ class DatasetSteps(Steps):
         return self._length
 
     def close(self) -> None:
-        """Drops the columns read so far from memory."""
+        """Drop the columns read so far from memory."""
         self._kept.clear()
 
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def to_arrow(
     dataset: DatasetFolder, *, columns: Sequence[str] | None = None, episodes: Iterable[int] | None = None
 ) -> pa.Table:
-    """The steps of ``episodes`` in their order, one chunk for one or several episodes; see `Dataset.to_arrow`."""
+    """Return the steps of ``episodes`` in their order, one chunk for one or several episodes; see `Dataset.to_arrow`."""
     schema = table_schema(dataset, columns)
     tables = [_typed(dataset.read_group(group, schema.names), schema) for group in _groups(dataset, episodes)]
     # an empty batch, unlike `Schema.empty_table`, gives each column a chunk, which tensors are made of
@@ -35,7 +35,7 @@ def to_arrow(
 
 
 def to_polars(table: pa.Table) -> polars.DataFrame:
-    """A polars frame in the same memory; fixed-size lists become polars arrays."""
+    """Return a polars frame in the same memory; fixed-size lists become polars arrays."""
     try:
         import polars
     except ImportError:
@@ -48,7 +48,7 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
 
 
 def to_pandas(table: pa.Table) -> pandas.DataFrame:
-    """A pandas frame: scalars as NumPy columns, vectors in the same Arrow memory (``frame[name].list[0]``)."""
+    """Return a pandas frame: scalars as NumPy columns, vectors in the same Arrow memory (``frame[name].list[0]``)."""
     try:
         import pandas
     except ImportError:
@@ -115,7 +115,7 @@ def shapes_of(dataset: DatasetFolder) -> dict[str, tuple[int, ...]]:
 
 
 def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The same bits under the declared types; uint64 is stored as int64."""
+    """Return the same bits under the declared types; uint64 is stored as int64."""
     for k, field in enumerate(schema):
         column = table.column(k)
         if column.type != field.type:

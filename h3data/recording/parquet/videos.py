@@ -26,7 +26,7 @@ MAX_FILE_S = 1000.0
 """Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
 neighbouring float32 numbers are farther apart than that."""
 MAX_FILE_BYTES = 200 << 20
-"""LeRobot's ``video_files_size_in_mb``."""
+"""Size from which the next video goes into another file, LeRobot's ``video_files_size_in_mb`` [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class EpisodeVideo:
     """Frame of the file with which the episode begins, a key frame."""
 
     def frames(self) -> Iterator[NDArray[np.uint8]]:
-        """Decodes the frames in order, each sRGB [height, width, 3].
+        """Decode the frames in order, each sRGB [height, width, 3].
 
         Raises:
             FormatError: the file is damaged or too short.
@@ -98,7 +98,7 @@ class EpisodeVideo:
 
 
 def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, *, fps: int) -> EpisodeVideo:
-    """The video of an episode, from its row of the episode table.
+    """Return the video of an episode, from its row of the episode table.
 
     Raises:
         FormatError: the row is damaged.
@@ -133,7 +133,7 @@ class VideoAppender:
     """An MP4 file that episodes are appended to."""
 
     def __init__(self, part: Path) -> None:
-        """Creates the file ``part``, which must not exist."""
+        """Create the file ``part``, which must not exist."""
         self.part = part
         self.frames = self.bytes = 0
         self._stack = ExitStack()
@@ -144,7 +144,7 @@ class VideoAppender:
         part.touch(exist_ok=False)
 
     def add(self, video: EpisodeVideo) -> None:
-        """Copies an episode to the end of the file.
+        """Copy an episode to the end of the file.
 
         Raises:
             InputError: it was encoded with other settings than those before it.
@@ -190,7 +190,7 @@ class VideoAppender:
         self.frames += count
 
     def close(self) -> None:
-        """Finishes the file and syncs it to the disk."""
+        """Finish the file and sync it to the disk."""
         self._stack.close()
         # FFmpeg has closed its own; to sync a file any descriptor will do
         with self.part.open("rb") as stream:

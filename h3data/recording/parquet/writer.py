@@ -65,7 +65,7 @@ class DatasetWriter:
         episodes_per_file: int = 100,
         file_bytes: int = FILE_MB << 20,
     ) -> None:
-        """Opens a new folder, replaces the dataset in it (``overwrite``), or continues after its last commit (``resume``).
+        """Open a new folder, replace the dataset in it (``overwrite``), or continue after its last commit (``resume``).
 
         Raises:
             InputError: the folder holds anything else, or a dataset without either option.
@@ -92,11 +92,11 @@ class DatasetWriter:
                 self._declare(like)
 
     def __len__(self) -> int:
-        """Number of episodes, including those not yet committed: the index of the next one."""
+        """Return the number of episodes, including those not yet committed: the index of the next one."""
         return self._totals.episodes + (self._shard.episodes if self._shard else 0)
 
     def add(self, recording: Recording, *, videos: Sequence[EpisodeVideo] = ()) -> int:
-        """Appends one episode and returns its index. It is durable from the next commit on.
+        """Append one episode and return its index. It is durable from the next commit on.
 
         ``videos`` show each of its steps, from the same cameras in all episodes of a dataset that have steps; they are
         copied.
@@ -151,7 +151,7 @@ class DatasetWriter:
         return index
 
     def commit(self) -> None:
-        """Finishes the current files: all episodes added so far survive a crash."""
+        """Finish the current files: all episodes added so far survive a crash."""
         if self._shard is None or self._schema is None:
             return
         shard, self._shard = self._shard, None
@@ -175,7 +175,7 @@ class DatasetWriter:
             write_meta(self.root, self._schema, self._totals)
 
     def close(self) -> None:
-        """Commits and closes the dataset. A second call does nothing."""
+        """Commit and close the dataset. A second call does nothing."""
         if not self.closed:
             self.commit()
             self.closed = True
@@ -239,7 +239,7 @@ class DatasetWriter:
             self._resume()
 
     def _claim(self) -> None:
-        """Says in an object store, which has no other means, who writes."""
+        """Say in an object store, which has no other means, who writes."""
         if isinstance(self.root, RemotePath):
             (self.root / _WRITER).put(self._name.encode())
 
@@ -276,7 +276,7 @@ class DatasetWriter:
         self._totals = Totals.of(self.root)
 
     def _checked_videos(self, recording: Recording, videos: Sequence[EpisodeVideo]) -> dict[str, EpisodeVideo]:
-        """The videos of an episode by the keys of their features; the first ones are declared for the whole dataset."""
+        """Return the videos of an episode by the keys of their features; the first ones are declared for the whole dataset."""
         assert self._schema is not None
         name, given = recording.episode.episode_id, tuple(video.feature for video in videos)
         taken = {*STANDARD, *(c.name for c in self._schema.columns)}
@@ -313,7 +313,7 @@ class DatasetWriter:
         return self._schema.fps
 
     def _declare(self, examples: Iterable[Recording]) -> None:
-        """Fixes the columns of the dataset so that all of these recordings fit; without any, does nothing."""
+        """Fix the columns of the dataset so that all of these recordings fit; without any, do nothing."""
         layouts, robots, named = [], [], []
         for recording in examples:  # may be a generator: one recording in memory at a time
             layouts.append(layout_of(recording.columns))

@@ -4,33 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.plugins import Registry
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode
-from h3data.recording.task_episodes.stored_episodes import StoredEpisode
 from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
 from h3data.scene.records import Scene
 from h3data.scene.sources import SceneSource
-
-
-class SceneOfEpisode(Protocol):
-    """Finds the scene of an episode."""
-
-    def __call__(
-        self,
-        episode: RearrangeEpisode,
-        stored: StoredEpisode | None,
-        folder: Path,
-        *,
-        assets: Sequence[str | Path] = (),
-        allow_missing: bool = False,
-    ) -> SceneSource:
-        """Returns the scene source of an episode that was read from a file in ``folder``; ``stored`` is its record, if any."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +27,9 @@ class EpisodeFiles:
     """Writes episodes as a file."""
     encode: Callable[[RearrangeEpisode], bytes]
     """An episode as it stands in a file."""
-    scene_of: SceneOfEpisode
-    """Function that locates the scene of an episode."""
+    scene_of: Callable[..., SceneSource]
+    """Called as ``(episode, stored, folder, *, assets, allow_missing)`` with an episode that was read from a file in ``folder``
+    and its `StoredEpisode`, or None: the source of the episode's scene."""
     add_objects: Callable[
         [Scene, Sequence[EpisodeObject], Sequence[str], Sequence[str]], tuple[Scene, Mapping[str, Array]]
     ]
@@ -63,14 +48,12 @@ def _check(entry: Any) -> None:
         )
 
 
-EPISODE_FILES: Registry[EpisodeFiles] = Registry("h3data.episode_files", {}, what="kind of episode files", check=_check)
-"""Kinds of episode files by name."""
-
-
+@cache
 def episode_files() -> EpisodeFiles:
-    """The kind of episode files that h3data reads and writes: those of Habitat, with our records in them.
+    """Return the kind of episode files that h3data reads and writes: those of Habitat, with our records in them.
 
     Raises:
         InputError: the package that has it is not installed.
     """
-    return EPISODE_FILES.get("habitat")
+    kinds: Registry[EpisodeFiles] = Registry("h3data.episode_files", {}, what="kind of episode files", check=_check)
+    return kinds.get("habitat")

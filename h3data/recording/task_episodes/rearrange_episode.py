@@ -163,7 +163,7 @@ def goal_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
 
 
 def is_rigid(matrices: Matrix) -> NDArray[np.bool_]:
-    """Returns whether ``matrices`` [..., 4, 4] are rotations and translations within `RIGID_TOLERANCE`; shape [...]."""
+    """Return whether ``matrices`` [..., 4, 4] are rotations and translations within `RIGID_TOLERANCE`; shape [...]."""
     rotation = matrices[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         error = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2))

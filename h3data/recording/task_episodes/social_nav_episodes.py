@@ -56,7 +56,7 @@ def social_nav_episode(
     rigid_objects: Sequence[RigidObject] = (),
     targets: Mapping[str, Matrix] | None = None,
 ) -> RearrangeEpisode:
-    """A Habitat episode that carries ``nav``; `write_episodes` writes it, `read_social_nav` gets it back.
+    """Return a Habitat episode that carries ``nav``; `write_episodes` writes it, `read_social_nav` gets it back.
 
     Habitat's own fields hold the robot's start. Its social-navigation task also looks for a target object when it
     resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
@@ -75,7 +75,7 @@ def social_nav_episode(
 
 
 def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
-    """The starts and way points that an episode carries; None if it has none of ours.
+    """Return the starts and way points that an episode carries; None if it has none of ours.
 
     Raises:
         FormatError: ours, but damaged or from a newer version.

@@ -42,7 +42,7 @@ class StoredEpisode(Protocol):
 
 
 def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
-    """The start of an agent in Habitat's own fields. Its agents look along -Z in their own frame, ours along +X."""
+    """Return the start of an agent in Habitat's own fields. Its agents look along -Z in their own frame, ours along +X."""
     x, z, heading = start
     rotation = quat_from_heading(heading - math.pi / 2)
     return {"start_position": (x, floor_y, z), "start_rotation": tuple(float(part) for part in rotation)}
@@ -61,7 +61,7 @@ def task_of(episode: RearrangeEpisode) -> str | None:
 
 
 def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) -> Record | None:
-    """The record of a task that an episode carries; None if it carries none of this task.
+    """Return the record of a task that an episode carries; None if it carries none of this task.
 
     Raises:
         FormatError: it is damaged or from a newer version.
@@ -83,7 +83,7 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
 
 
 def plain(value: Any) -> Any:
-    """The value as it will come back from a file: lists for tuples.
+    """Return the value as it will come back from a file: lists for tuples.
 
     Raises:
         InputError: JSON cannot hold it.

@@ -97,7 +97,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def content_digest(record: StoredRearrangement) -> str:
-    """Digest of starts, objects, goals, seed and rules."""
+    """Return the digest of starts, objects, goals, seed and rules."""
     # what only describes (recording, instruction) stays out: it does not change what is played
     content = (
         record.robot_start,
@@ -151,7 +151,7 @@ def rearrangement_entry(
 
 
 def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
-    """The rearrangement that an episode of any file describes; None if there is nothing to rearrange.
+    """Return the rearrangement that an episode of any file describes; None if there is nothing to rearrange.
 
     Raises:
         FormatError: ours, but damaged or from a newer version.

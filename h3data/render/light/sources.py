@@ -21,7 +21,7 @@ LightMode = Literal["baked", "flat"]
 
 
 def check_light(light: object) -> None:
-    """Refuses what is no `LightMode`.
+    """Refuse what is no `LightMode`.
 
     Raises:
         InputError: it is none.
@@ -71,7 +71,7 @@ class LightSources:
 
 
 def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
-    """The light sources of a scene: panes of instances of the category ``window``, lamps, and the lights of its file.
+    """Return the light sources of a scene: panes of instances of the category ``window``, lamps, and the lights of its file.
 
     Lights that cannot be used (NaN, negative power) are left out, with a warning that names the light and the ``file``.
     """

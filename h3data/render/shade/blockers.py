@@ -152,7 +152,7 @@ class Tiled(NamedTuple):
     """Index in ``listed`` at which the list of each tile begins, row by row, shape [tiles + 1]; [0] if there are no
     capsules."""
     listed: NDArray[np.int32]
-    """Four times the index of a capsule plus bits that say what it takes."""
+    """Capsules of each tile: four times the index of the capsule, plus two bits that say which light it blocks."""
     inv_z: NDArray[np.float32]
     """Value 1/z of each pixel of the target, also for orthographic cameras."""
 
@@ -190,7 +190,7 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
-    """Return 1 for the tiles of an image in which other capsules matter than before, shape [tiles]; [0] if none did or do."""
+    """Return 1 for each tile of an image whose capsules have changed, uint8 [tiles]; [0] without capsules before and after."""
     if not len(before.first) and not len(after.first):
         return np.zeros(0, np.uint8)
     tiles = max(len(before.first), len(after.first)) - 1

@@ -140,7 +140,7 @@ class KeptPicture:
     """Colours of the picture, shape [H, W, 3]."""
     occlusion: Occlusion | None = None
     cast: Tiled | None = None
-    """None: there is no picture yet."""
+    """Tiles of the capsules that cast shadows; None if there is no picture yet."""
 
 
 def light_table(light: Light) -> NDArray[np.float32]:

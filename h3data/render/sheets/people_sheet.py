@@ -62,7 +62,7 @@ def lined_up(
 
 
 def skinned(body: Humanoid, joints: Array, lod: bool) -> Mesh:
-    """A body in a posture as one mesh."""
+    """Return a body in a posture as one mesh."""
     rest = body.lod_mesh if lod else body.mesh
     return Mesh(
         vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]),
@@ -73,7 +73,7 @@ def skinned(body: Humanoid, joints: Array, lod: bool) -> Mesh:
 
 
 def floor_mesh(color: tuple[int, int, int]) -> Mesh:
-    """A square floor of 14 m around the origin in one colour."""
+    """Return a square floor of 14 m around the origin in one colour."""
     half = 7.0
     corners = np.array([[-half, 0, -half], [-half, 0, half], [half, 0, half], [half, 0, -half]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)

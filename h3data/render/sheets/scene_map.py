@@ -23,7 +23,7 @@ PAPER = (250, 250, 248)
 
 
 def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
-    """The scene as a `RenderScene`, without triangles entirely above ``cut_above_y`` [m].
+    """Return the scene as a `RenderScene`, without triangles entirely above ``cut_above_y`` [m].
 
     Raises:
         InputError: no triangles are left.
@@ -61,7 +61,7 @@ def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> Rende
 
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
-    """The scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
+    """Return the scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
     low, high = scene.bounds
     if scene.rooms:
         rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in scene.rooms])
@@ -100,7 +100,7 @@ def eye_level_camera(
     height: int = 640,
     hfov_deg: float = 82.0,
 ) -> Camera:
-    """A camera at a height of 1.55 m in a corner of a room's free floor, looking across the room.
+    """Return a camera at a height of 1.55 m in a corner of a room's free floor, looking across the room.
 
     Among the far corners, the one with the most open view is chosen. ``room`` defaults to the largest; a scene without
     rooms counts as one room.

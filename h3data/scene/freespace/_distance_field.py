@@ -14,7 +14,10 @@ TOUCH_M = 1e-7
 
 @kernel()
 def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
-    """Length [n] [m] of the shortest taut way from every node to the nearest of free goals [K, 2]; inf where there is none."""
+    """Return the length [n] [m] of the shortest taut way from every node to the nearest of free goals [K, 2].
+
+    Lengths are infinite where there is no path.
+    """
     out = np.full(len(graph.nodes), np.inf)
     for g in range(len(goals)):
         found, away = visible_nodes(graph, goals[g, 0], goals[g, 1])

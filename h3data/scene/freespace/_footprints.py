@@ -57,7 +57,7 @@ def _instance_footprints(scene: Scene, instance: Instance, low: float, high: flo
 
 
 def rooms_floor(rooms: tuple[Room, ...]) -> BaseGeometry:
-    """The floor under some rooms: their rectangles, joined through walls and doorways (a morphological closing)."""
+    """Return the floor under some rooms: their rectangles, joined through walls and doorways (a morphological closing)."""
     rectangles = [box(*r) for room in rooms for r in np.asarray(room.rectangles, np.float64)]
     if not rectangles:
         raise SceneError(
@@ -69,7 +69,7 @@ def rooms_floor(rooms: tuple[Room, ...]) -> BaseGeometry:
 
 
 def rooms_level(rooms: tuple[Room, ...]) -> float:
-    """Height of the floor on which the most room area lies [m]."""
+    """Return the height of the floor on which the most room area lies [m]."""
     area: dict[float, float] = {}
     for room in rooms:
         r = np.asarray(room.rectangles, np.float64)
@@ -160,7 +160,7 @@ def _shape_points(shape: Shape) -> NDArray[np.float64]:
 
 
 def _clip_to_band(points: NDArray, low: float, high: float) -> NDArray:
-    """Points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights.
+    """Return points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights.
 
     They are the points inside the band, and where lines between points cross its two planes. For a convex body all
     pairs of points may be connected.

@@ -92,7 +92,7 @@ def _islands(graph: Graph, origin: NDArray, step: float, nx: int, nz: int) -> ND
 
 
 def build_lattice(graph: Graph, bounds: tuple[float, float, float, float], *, step: float) -> Lattice:
-    """The table for a free area with ``bounds`` (x0, z0, x1, z1)."""
+    """Return the table for a free area with ``bounds`` (x0, z0, x1, z1)."""
     x0, z0, x1, z1 = bounds
     origin = np.array([x0, z0])
     nx, nz = max(1, int(np.ceil((x1 - x0) / step))), max(1, int(np.ceil((z1 - z0) / step)))
@@ -116,7 +116,7 @@ def _seen_nodes(
     found: NDArray,
     away: NDArray,
 ) -> int:
-    """The nodes of the 4 x 4 around (x, z) that a disc can go to straight: fills table rows and distances."""
+    """Return the nodes of the 4 x 4 around (x, z) that a disc can go to straight: fills table rows and distances."""
     nx, nz = lattice.rows.shape
     # nodes are at the centres of cells, hence the half; the two nearest on either side
     i0 = int(np.floor((x - lattice.origin[0]) / lattice.step - 0.5)) - 1
@@ -201,7 +201,7 @@ def quick_distance_many(
     ends: NDArray,
     max_snap: float,
 ) -> NDArray:
-    """Lengths [N] [m] between points [N, 2], as `quick_distance`."""
+    """Return lengths [N] [m] between points [N, 2], as `quick_distance`."""
     out = np.empty(len(starts))
     for k in range(len(starts)):
         out[k] = quick_distance(

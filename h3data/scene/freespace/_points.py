@@ -28,7 +28,7 @@ def one_point(point: ArrayLike) -> NDArray[np.float64]:
 
 
 def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
-    """Applies a kernel on [N, 2] to points of any leading shape."""
+    """Apply a kernel on [N, 2] to points of any leading shape."""
     p = floor_points(points)
     out = kernel(np.ascontiguousarray(p.reshape(-1, 2)))
     # a kernel may give a number or a vector for each point
@@ -36,7 +36,7 @@ def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArr
 
 
 def each_pair(kernel: Callable[[NDArray, NDArray], NDArray], a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Applies a kernel on two [N, 2] to points that broadcast against each other."""
+    """Apply a kernel on two [N, 2] to points that broadcast against each other."""
     p, q = floor_points(a), floor_points(b)
     if p.shape != q.shape:  # broadcast_arrays alone takes 4 us
         p, q = np.broadcast_arrays(p, q)

@@ -37,7 +37,10 @@ def _wedge(before: NDArray, node: NDArray, after: NDArray) -> tuple[float, float
 
 @kernel()
 def _interval(x: float, z: float, dx: float, dz: float, corners: NDArray) -> tuple[float, float]:
-    """Least and greatest angle of corners [n, 2] about (x, z) against a direction; (inf, -inf) if they lie behind."""
+    """Return the least and greatest angle of corners [n, 2] about (x, z) against a direction.
+
+    The result is (inf, -inf) if they lie behind.
+    """
     low, high = np.inf, -np.inf
     for k in range(len(corners)):
         ux, uz = corners[k, 0] - x, corners[k, 1] - z
@@ -51,7 +54,7 @@ def _interval(x: float, z: float, dx: float, dz: float, corners: NDArray) -> tup
 
 @kernel()
 def _block(low: float, high: float, spans: NDArray, count: int) -> int:
-    """Adds an interval to sorted disjoint ones ``spans`` [.., 2]; returns how many there are then."""
+    """Add an interval to sorted disjoint ones ``spans`` [.., 2]; return how many there are then."""
     first = 0
     while first < count and spans[first, 1] < low - MERGE_RAD:
         first += 1
@@ -158,7 +161,9 @@ def potentially_visible(
     origin: NDArray,
     size: float,
 ) -> tuple[NDArray, NDArray]:
-    """Corners of each bucket as (start int32 [bx * bz + 1], corners int32), ascending; for the buckets ``used`` [bx, bz].
+    """Return corners of each bucket as (start int32 [bx * bz + 1], corners int32), ascending.
+
+    Only the buckets ``used`` [bx, bz] have corners.
 
     ``nodes``, ``before``, ``after``, ``first``, ``edges`` and ``edge_island`` are those of `Graph`.
     """

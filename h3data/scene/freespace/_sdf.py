@@ -30,7 +30,7 @@ RAY_STRIDES = 64
 
 @kernel_part(inline="always")
 def _clipped(value: float, most: float) -> float:
-    """The value in 0..most; as `min` and `max` of numba, which look for NaN too, but a tenth of a look-up faster."""
+    """Return the value in 0..most; as `min` and `max` of numba, which look for NaN too, but a tenth of a look-up faster."""
     value = value if value > 0.0 else 0.0
     return value if value < most else most
 
@@ -79,7 +79,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
-    """Returns whether a disc of ``radius`` [m] can go straight from a to b, by sphere tracing, to about 5 mm of clearance."""
+    """Return whether a disc of ``radius`` [m] can go straight from a to b, by sphere tracing, to about 5 mm of clearance."""
     length = np.hypot(bx - ax, bz - az)
     if length == 0.0:
         return sample_sdf(sdf, origin, cell, ax, az) >= radius - SLACK_M
@@ -98,7 +98,7 @@ def line_of_sight(
 
 @kernel(error_model="numpy")
 def trace_rays(sdf, origin, cell, points, angles, most):
-    """Distances [N, R] [m], at most ``most``, from points [N, 2] to the nearest obstacle along headings [N, R] [rad].
+    """Return distances [N, R] [m], at most ``most``, from points [N, 2] to the nearest obstacle along headings [N, R] [rad].
 
     The method is sphere tracing (Hart, 1996). A ray ends where the distance is at most `HIT_M`; strides grow with the
     distance from the point, so that `RAY_STRIDES` of them suffice along a wall too.
@@ -143,7 +143,7 @@ def sdf_gradient_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArra
 
 @kernel()
 def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
-    """Distance from a point to the segment a-b."""
+    """Return the distance from a point to the segment a-b."""
     dx = bx - ax
     dz = bz - az
     square = dx * dx + dz * dz
@@ -155,7 +155,7 @@ def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, 
 
 @kernel()
 def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
-    """Returns whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
+    """Return whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
 
     One scan line per row of cells flips everything behind each crossing.
     """

@@ -59,7 +59,7 @@ class Graph(NamedTuple):
 
 @kernel()
 def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx: float, dz: float) -> bool:
-    """Returns whether segments a-b and c-d cross.
+    """Return whether segments a-b and c-d cross.
 
     Segments are half-open: a line through a shared end point of two edges that lie on its two sides crosses exactly one
     of them, so that nothing slips through a vertex.
@@ -116,7 +116,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
 
 @kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
-    """Returns whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    """Return whether the straight way from a to b stays in the free area: walks the buckets along it."""
     edges, items, start = graph.edges, graph.bucket_edges, graph.bucket_start  # taken out in the loop they cost as much
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
@@ -211,7 +211,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
 
 @kernel()
 def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
-    """Returns whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
+    """Return whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
 
     ``slack`` [m]: how far (x, z) may be off; a point just outside a wall must still find the corners along it.
     """
@@ -231,7 +231,7 @@ def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
 
 @kernel()
 def bucket_of(graph: Graph, x: float, z: float) -> int:
-    """Index of the bucket of a point in the free area."""
+    """Return the index of the bucket of a point in the free area."""
     i = int(np.floor((x - graph.bucket_origin[0]) / graph.bucket_size[0]))
     j = int(np.floor((z - graph.bucket_origin[1]) / graph.bucket_size[0]))
     return i * graph.bucket_label.shape[1] + j

@@ -15,7 +15,7 @@ from h3data.scene.freespace._visibility import GROW_M, Graph, bucket_edges, visi
 
 
 def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
-    """The polygons of any geometry, largest first."""
+    """Return the polygons of any geometry, largest first."""
     parts = [p for p in shapely.get_parts(area, return_index=False) if isinstance(p, Polygon) and not p.is_empty]
     nested = [q for p in shapely.get_parts(area) if not isinstance(p, Polygon) for q in shapely.get_parts(p)]
     parts += [q for q in nested if isinstance(q, Polygon) and not q.is_empty]
@@ -38,7 +38,7 @@ def area_edges(area: MultiPolygon) -> tuple[NDArray[np.float64], NDArray[np.int3
 
 
 def build_graph(area: MultiPolygon) -> Graph:
-    """The visibility graph with all shortest paths of a free area; islands are its polygons, in their order."""
+    """Return the visibility graph with all shortest paths of a free area; islands are its polygons, in their order."""
     rings, ring_island = area_edges(area)
     # mitred, because each rounded corner would be several edges
     grown = polygon_parts(area.buffer(GROW_M, join_style="mitre"))
@@ -85,7 +85,7 @@ def build_graph(area: MultiPolygon) -> Graph:
 def edges_inside(
     area: MultiPolygon, starts: NDArray, ends: NDArray, *, tolerance_m: float = 2 * GROW_M
 ) -> NDArray[np.bool_]:
-    """Returns whether each segment [K, 2]-[K, 2] stays in the area, bool [K]: an independent check by shapely.
+    """Return whether each segment [K, 2]-[K, 2] stays in the area, bool [K]: an independent check by shapely.
 
     A strict crossing test lets segments slip through that touch walls only at vertices (32 of 4,025 edges in one home,
     false detours of 15 %; research/navigation-and-stepping.md 2.3), so every edge of the graph passes here as well.
@@ -103,7 +103,7 @@ def _rings(polygon: Polygon) -> list:
 
 
 def _label(area: MultiPolygon, grown: Polygon) -> int:
-    """The polygon that a grown one came from (the largest, if growing joined some)."""
+    """Return the polygon that a grown one came from (the largest, if growing joined some)."""
     shapely.prepare(grown)
     for k, part in enumerate(area.geoms):
         # a point inside for certain, which the centroid of a bent polygon may not be
@@ -113,7 +113,7 @@ def _label(area: MultiPolygon, grown: Polygon) -> int:
 
 
 def _reflex_corners(area: MultiPolygon) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Corners where the free area turns around an obstacle, their ring neighbours, and ranges per island."""
+    """Return corners where the free area turns around an obstacle, their ring neighbours, and ranges per island."""
     nodes, before, after, first = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
     for part in area.geoms:
         count = 0
@@ -149,7 +149,7 @@ def _buckets(area: MultiPolygon, grown: list[Polygon], labels: list[int]) -> tup
 
 
 def _all_pairs(n: int, pairs: NDArray, lengths: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Shortest distances [n, n] and predecessors [n, n] over the edges."""
+    """Return the shortest distances [n, n] and predecessors [n, n] over the edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 

@@ -23,16 +23,15 @@ from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_
 from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
 
-BUILD_VERSION = 4
-"""Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
-
 
 @dataclass(frozen=True)
 class BuildSpec:
-    """Resolutions of the free floor."""
+    """Version and resolutions of the free floor."""
 
+    version: int = 4
+    """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
     arc_segments: int = 8
-    """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
+    """Number of segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
     smooth_m: float = 1e-4
     """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
     island_min_m2: float = 0.01
@@ -75,7 +74,7 @@ def scene_key(
 ) -> str:
     """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
     used = choose_method(scene, method)
-    digest = hashlib.sha256(f"freespace {BUILD_VERSION} {used}".encode())
+    digest = hashlib.sha256(f"freespace {BUILD.version} {used}".encode())
     numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
     digest.update(np.array(numbers, np.float64).tobytes())
     for instance in scene.static_instances:
@@ -106,7 +105,10 @@ def build_from_scene(
     floor_y: float | None = None,
     method: Method = "auto",
 ) -> FloorMap:
-    """The free space of one floor of a scene, or of all storeys that stairs join; see `h3data.scene.FreeSpace.from_scene`."""
+    """Return the free space of one floor of a scene, or of all storeys that stairs join.
+
+    See `h3data.scene.FreeSpace.from_scene`.
+    """
     sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
     if wrong or max_climb_m >= height_m:
@@ -154,7 +156,7 @@ def build_from_walkable(
     key: str = "",
     heights: NDArray[np.float64] = LEVEL,
 ) -> FloorMap:
-    """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
+    """Return the free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
 
     Islands smaller than ``island_min_m2`` are left out, but for the largest.
     """
@@ -281,7 +283,7 @@ def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_
 
 
 def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: float | None) -> float:
-    """Height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
+    """Return the height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
     # no height is wanted: the floor has to be told from roofs, tables and beds
     if floor_y is None:
         order = np.argsort(component, kind="stable")
@@ -301,7 +303,7 @@ def _exact_level(triangles: NDArray, level: float, cell: float) -> float:
 
 
 def _shape_bytes(shape: Shape) -> bytes:
-    """A shape as bytes for hashing, its kind first."""
+    """Return a shape as bytes for hashing, its kind first."""
     if isinstance(shape, Box):
         parts = (b"b", shape.pose, shape.half_extents)
     elif isinstance(shape, Cylinder):

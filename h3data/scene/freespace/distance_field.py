@@ -28,12 +28,15 @@ class DistanceField:
 
     @classmethod
     def to(cls, graph: Graph, goals: NDArray[np.float64]) -> DistanceField:
-        """The field of goals [K, 2] on the free area; without any, every distance is infinite."""
+        """Return the field of goals [K, 2] on the free area; without any, every distance is infinite."""
         goals = np.ascontiguousarray(goals, np.float64)
         return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
 
     def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Length [...] [m] of the shortest path from points [..., 2] to the nearest goal; inf where there is none."""
+        """Return the length [...] [m] of the shortest path from points [..., 2] to the nearest goal.
+
+        Lengths are infinite where there is no path.
+        """
         return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
 
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:

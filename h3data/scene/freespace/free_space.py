@@ -46,7 +46,7 @@ class FreeSpace(FloorMap):
 
     @classmethod
     def from_map(cls, floor: FloorMap, lattice: Lattice | None = None) -> FreeSpace:
-        """The free space with the geometry of ``floor``, and its lattice where that is known already."""
+        """Return the free space with the geometry of ``floor``, and its lattice where that is known already."""
         space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
         if lattice is not None:
             # where `cached_property` keeps it, so that it is not built again
@@ -66,7 +66,9 @@ class FreeSpace(FloorMap):
         method: Literal["auto", "shapes", "mesh"] = "auto",
         cache: bool = True,
     ) -> FreeSpace:
-        """The free space of one floor of a scene; static instances are obstacles, kinematic ones are not (as in Habitat).
+        """Return the free space of one floor of a scene.
+
+        Static instances are obstacles, kinematic ones are not (as in Habitat).
 
         Args:
             scene: The scene; only its geometry is read.
@@ -89,7 +91,7 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
     def as_in(self, scene: Scene, *, radius_m: float | None = None) -> FreeSpace:
-        """The floor for the same agent, or one of another radius, in a scene that is this home in another state."""
+        """Return the floor for the same agent, or one of another radius, in a scene that is this home in another state."""
         return FreeSpace.from_scene(
             scene,
             radius_m=self.radius_m if radius_m is None else radius_m,
@@ -105,16 +107,19 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.load(Path(path)))
 
     def save(self, path: str | Path) -> None:
-        """Writes one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
+        """Write one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
         store.save(self, Path(path), lattice=self.__dict__.get("lattice"))  # only if it was built
 
     # --- how high the floor is -----------------------------------------------------------------------------------------
     def height_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Height [...] [m] of the floor at points [..., 2]; a flight of stairs is a ramp. Continuous wherever one may be."""
+        """Return the height [...] [m] of the floor at points [..., 2].
+
+        A flight of stairs is a ramp. Continuous wherever one may be.
+        """
         return floor_heights(self.heights, self.floor_y, points)
 
     def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
+        """Return the height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
     def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
@@ -134,7 +139,7 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def has_stairs(self) -> bool:
-        """Returns whether one may walk from one storey to another."""
+        """Return whether one may walk from one storey to another."""
         return bool(self.heights[:, STEPS].any())
 
     @cached_property
@@ -147,11 +152,11 @@ class FreeSpace(FloorMap):
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, bilinear."""
+        """Return the distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, bilinear."""
         return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
+        """Return the gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
         return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -181,11 +186,11 @@ class FreeSpace(FloorMap):
         return np.array([p.area for p in self.polygon.geoms])
 
     def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Returns whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
+        """Return whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
         return self.island(points) >= 0
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:
-        """Index of the island of points [..., 2], int [...]; -1 where it may not stand."""
+        """Return the index of the island of points [..., 2], int [...]; -1 where it may not stand."""
         return each_point(lambda p: locate_many(self.graph, p), points)
 
     def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
@@ -206,7 +211,7 @@ class FreeSpace(FloorMap):
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def geodesic(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact; inf where there is none.
+        """Return the length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact; inf where there is none.
 
         Ends off the free area are moved to it first; farther than ``max_snap_m`` there is no path.
         """
@@ -258,7 +263,7 @@ class FreeSpace(FloorMap):
         return build_lattice(self.graph, self.polygon.bounds, step=lattice_step(self.polygon.area))
 
     def _triangles(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Triangles [M, 3, 2] that make up an island, and their summed areas [M]."""
+        """Return triangles [M, 3, 2] that make up an island, and their summed areas [M]."""
         known = self._triangle_cache
         if island not in known:
             if not 0 <= island < len(self.polygon.geoms):

@@ -30,7 +30,7 @@ _NUMBERS = ("floor_y", "radius_m", "height_m", "max_climb_m", "cell_m")
 
 
 def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None:
-    """Writes ``path`` whole or not at all."""
+    """Write ``path`` whole or not at all."""
     arrays: dict[str, NDArray] = {
         "format": np.array(FORMAT),
         "key": np.frombuffer(space.key.encode(), np.uint8),
@@ -76,7 +76,7 @@ def load(path: Path) -> tuple[FloorMap, Lattice | None]:
 
 
 def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice | None]:
-    """The cached free space of a key and its lattice, else a new one, kept if the cache folder can be written."""
+    """Return the cached free space of a key and its lattice, else a new one, kept if the cache folder can be written."""
     folder = cache_folder()
     if folder is None:
         return build(), None
@@ -100,7 +100,7 @@ def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice |
 
 
 def cache_folder() -> Path | None:
-    """Returns the folder of cached free spaces, None when ``H3DATA_CACHE`` is ``off``."""
+    """Return the folder of cached free spaces, None when ``H3DATA_CACHE`` is ``off``."""
     return files.cache_folder("freespace")
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mcap_protobuf.writer import Writer
 
 BLOCK_STEPS = 512
-"""Steps posed at once, so that memory does not grow with the recording."""
+"""Number of steps posed at once, so that memory does not grow with the recording."""
 Posed = Callable[[NDArray[np.integer]], Sequence[PosedPart]]
 """Function that poses all parts at some steps: ``lambda steps: posed_parts(replay, steps)``."""
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
@@ -108,7 +108,7 @@ def write_foxglove(
 
 
 def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
+    """Export one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
     (recording,) = recordings
     replay = Replay(recording, assets=request.assets, people=request.people, detail=False, stand_ins=request.stand_ins)
     recording = replay.recording

@@ -25,7 +25,7 @@ class FrameTree:
         self._whole_ns: int | None = None
 
     def add(self, name: str, parent: int = -1) -> int:
-        """A new frame; -1 = in the world. Its name gets a number if it is taken."""
+        """Return a new frame; -1 = in the world. Its name gets a number if it is taken."""
         taken, unique, number = {ROOT, WORLD, *self.names}, name, 1
         while unique in taken:
             number += 1
@@ -42,7 +42,7 @@ class FrameTree:
         return out
 
     def news(self, time_ns: int, local: Array) -> tuple[list[tuple[str, str, Array]], bool]:
-        """Frames to publish at a step, and whether all of them are published.
+        """Return frames to publish at a step, and whether all of them are published.
 
         All frames that exist are published at the first call and once a second; otherwise only those that have moved
         since they were last published.

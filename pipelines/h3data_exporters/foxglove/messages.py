@@ -58,7 +58,7 @@ def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameT
 
 
 def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
-    """A GLB whose own frame, scaled, has a pose7 in the frame of its entity."""
+    """Return a GLB whose own frame, scaled, has a pose7 in the frame of its entity."""
     across, up, along = scale
     size = Vector3(x=across, y=along, z=up)  # axes after the viewer's turn
     return ModelPrimitive(pose=_pose(pose_multiply(pose, _TURN)), scale=size, data=glb, media_type="model/gltf-binary")
@@ -67,13 +67,13 @@ def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
 def entity(
     time_ns: int, frame: str, name: str, *, models: Sequence[ModelPrimitive] = (), texts: Sequence[TextPrimitive] = ()
 ) -> SceneEntity:
-    """A thing that moves with a frame."""
+    """Return a thing that moves with a frame."""
     # locked, so that viewers move it with its frame after this message too
     return SceneEntity(timestamp=stamp(time_ns), frame_id=frame, id=name, frame_locked=True, models=models, texts=texts)
 
 
 def name_tag(text: str, height_m: float) -> TextPrimitive:
-    """A text above the origin of its entity, turned to whoever looks."""
+    """Return a text above the origin of its entity, turned to whoever looks."""
     above = np.array([0, height_m, 0, 0, 0, 0, 1])
     return TextPrimitive(pose=_pose(above), billboard=True, font_size=_TAG_M, color=Color(a=1), text=text)
 
@@ -89,18 +89,18 @@ def scene_cleared(time_ns: int) -> SceneUpdate:
 
 
 def pose_in_frame(time_ns: int, frame: str, pose: Array) -> PoseInFrame:
-    """A pose7 in a frame."""
+    """Return a pose7 in a frame."""
     return PoseInFrame(timestamp=stamp(time_ns), frame_id=frame, pose=_pose(pose))
 
 
 def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointStates:
-    """Positions of a robot's joints [rad or m]."""
+    """Return positions of a robot's joints [rad or m]."""
     joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
     return JointStates(timestamp=stamp(time_ns), joints=joints)
 
 
 def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> LaserScan:
-    """Distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: nothing is met.
+    """Return distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: nothing is met.
 
     The plane's own frame has x forward, y left and z up.
     """
@@ -119,7 +119,10 @@ def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> Lase
 
 
 def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> PointCloud:
-    """Points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have; without those that are NaN."""
+    """Return points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have.
+
+    Points that are NaN are left out.
+    """
     known = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], "<f4")
     return PointCloud(
         timestamp=stamp(time_ns),
@@ -132,13 +135,13 @@ def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> Poi
 
 
 def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:
-    """A line for the log panel."""
+    """Return a line for the log panel."""
     level = Log.Level.WARNING if warning else Log.Level.INFO
     return Log(timestamp=stamp(time_ns), level=level, name=source, message=text)
 
 
 def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
-    """An undistorted pinhole camera."""
+    """Return an undistorted pinhole camera."""
     k = np.asarray(camera.intrinsics, np.float64)
     return CameraCalibration(
         timestamp=stamp(time_ns),

@@ -52,7 +52,7 @@ def _in_posture(mesh: Mesh, skeleton: Skeleton, share: Array) -> tuple[Array, Ar
 
 
 def _piece(mesh: Mesh, faces: NDArray[np.bool_], vertices: Array, normals: Array | None, matrix: Array) -> Mesh:
-    """The chosen triangles with their vertices taken through a 4x4 matrix."""
+    """Return the chosen triangles with their vertices taken through a 4x4 matrix."""
     used, index = np.unique(mesh.faces[faces], return_inverse=True)
     return Mesh(
         vertices=transform_points(matrix, vertices[used]).astype(np.float32),

@@ -35,7 +35,7 @@ class Group:
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
-        """Returns whether there is something to say at a step."""
+        """Return whether there is something to say at a step."""
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:
@@ -64,7 +64,7 @@ class FoxgloveScene:
             self._group(agent=i).entities.append(messages.entity(0, frame, frame, texts=[tag]))
 
     def agent_frame(self, agent: int) -> str:
-        """Name of the root frame of an agent."""
+        """Return the name of the root frame of an agent."""
         return self.frames.names[self._agents[agent]]
 
     def world_poses(self, steps: NDArray[np.integer], parts: Sequence[PosedPart]) -> Array:
@@ -95,7 +95,7 @@ class FoxgloveScene:
         return 1
 
     def _parent(self, part: PosedPart) -> int:
-        """The agent's frame for what its model draws, which is there when the agent is; else the world."""
+        """Return the agent's frame for what its model draws, which is there when the agent is; else the world."""
         return self._agents[part.agent] if part.body is None and part.agent >= 0 else -1
 
     def _glb(self, mesh: Mesh) -> bytes:
@@ -111,7 +111,7 @@ class FoxgloveScene:
             entities.append(messages.entity(0, frame, name, models=[messages.model(glb, pose, scale)]))
 
     def _group(self, part: PosedPart | None = None, *, agent: int = -1) -> Group:
-        """The group of a part, or of an agent."""
+        """Return the group of a part, or of an agent."""
         recording, body = self._recording, part.body if part else None
         if part is not None and body is None:
             agent = part.agent

@@ -69,14 +69,14 @@ class Notes:
     found: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, what: str, where: str) -> None:
-        """Counts an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
+        """Count an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
         if self.strict:
             raise FormatError(f"{where}: {what}: {self.path}", code="H3-HABITAT-018")
         count, first = self.found.get(what, (0, f"{where} in {self.path.name}"))
         self.found[what] = (count + 1, first)
 
     def texts(self) -> tuple[str, ...]:
-        """One line for each kind of oddity, with its count and its first place."""
+        """Return one line for each kind of oddity, with its count and its first place."""
         return tuple(f"{what}: {count} times, first at {first}" for what, (count, first) in self.found.items())
 
 
@@ -90,7 +90,7 @@ class _Draft:
 
 
 def decode_episodes(raws: Sequence[msgspec.Raw], notes: Notes) -> list[RearrangeEpisode]:
-    """Decodes episodes from JSON; oddities are added to ``notes``.
+    """Decode episodes from JSON; oddities are added to ``notes``.
 
     Raises:
         FormatError: an episode is malformed; the message names its key.
@@ -158,7 +158,7 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
 
 @lru_cache(256)
 def _shared(keys: frozenset[str]) -> frozenset[str]:
-    """The first set that was equal to ``keys``: 37,000 episodes lack the same ones."""
+    """Return the first set that was equal to ``keys``: 37,000 episodes lack the same ones."""
     return keys
 
 
@@ -254,7 +254,7 @@ def _reworded(fault: object) -> str:
 
 
 def encode_episode(episode: RearrangeEpisode, *, where: str = "episode") -> bytes:
-    """The JSON object of one episode, in Habitat's order of keys; ``where`` names it in errors."""
+    """Return the JSON object of one episode, in Habitat's order of keys; ``where`` names it in errors."""
     names = [key for key in KEYS if key not in episode.absent]
     # both would be written, and readers keep the last one
     clash = set(names) & set(episode.extra)

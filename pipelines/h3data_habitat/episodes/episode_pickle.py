@@ -19,7 +19,7 @@ from h3data_habitat.safe_pickle import builtin, load_pickle
 
 
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
-    """The episodes of a pickled dataset as JSON text, in the form of an unpickled one."""
+    """Return the episodes of a pickled dataset as JSON text, in the form of an unpickled one."""
     content = load_pickle(data, path)
     if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
         keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__
@@ -53,7 +53,7 @@ def _transforms(value: Any, path: Path) -> NDArray[Any]:
 def _resolved(
     episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], path: Path
 ) -> msgspec.Raw:
-    """The episode with names and matrices in place of their indices."""
+    """Return the episode with names and matrices in place of their indices."""
     where = f"all_eps[{index}]"
     try:
         content = msgspec.to_builtins(episode, str_keys=True, enc_hook=builtin)

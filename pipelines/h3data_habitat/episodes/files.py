@@ -29,7 +29,7 @@ _CONTENT_PATH = "{data_path}/content/{scene}.json.gz"
 
 
 def read_episodes(path: str | Path, *, strict: bool = False) -> EpisodeSet:
-    """The episodes of a dataset file; with ``strict``, what would be a warning is an error.
+    """Return the episodes of a dataset file; with ``strict``, what would be a warning is an error.
 
     A file without episodes beside a folder ``content`` is followed, as Habitat does (spec/habitat.md 6.5). Pickled
     datasets are read without running anything that they contain.
@@ -71,7 +71,7 @@ def _collector_paused() -> Iterator[None]:
 
 # --- the file ---------------------------------------------------------------------------------------------------------
 def _open(path: Path) -> tuple[Sequence[msgspec.Raw], dict[str, Any]]:
-    """The episodes, still text, and the other keys of the file."""
+    """Return the episodes, still text, and the other keys of the file."""
     data = SourceFile(path).data
     if is_pickle(data):
         return unpickle_episodes(data, path), {}
@@ -128,7 +128,7 @@ _NON_FINITE = re.compile(rb"[\[,:\s](NaN|-?Infinity)[\],}\s]")
 
 
 def _not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
-    """Says where a NaN stands, which Python writes though it is no JSON; else where the JSON stops."""
+    """Say where a NaN stands, which Python writes though it is no JSON; else where the JSON stops."""
     if _NON_FINITE.search(data):
         try:
             where = _non_finite(json.loads(data))
@@ -143,7 +143,7 @@ def _not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
 
 
 def _non_finite(content: Any) -> tuple[str, float] | None:
-    """The first NaN or infinity, and where it is."""
+    """Return the first NaN or infinity, and where it is."""
     # a stack, as the file may be nested deeper than Python recurses; reversed keeps the order of the file
     stack: list[tuple[str, Any]] = [("", content)]
     while stack:

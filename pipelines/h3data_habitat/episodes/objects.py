@@ -55,7 +55,7 @@ class ReadObject(NamedTuple):
 
 
 def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> ObjectSearch:
-    """The search for an episode that is played in a scene."""
+    """Return the search for an episode that is played in a scene."""
     config = str(scene.source.get("config", ""))
     return ObjectSearch(config if config.endswith(DATASET_ENDING) else "", tuple(paths), tuple(assets))
 
@@ -73,7 +73,7 @@ def search_in(source: SceneSource, paths: Sequence[str]) -> ObjectSearch:
 def with_objects(
     scene: Scene, objects: Sequence[EpisodeObject], search: ObjectSearch
 ) -> tuple[Scene, Mapping[str, NDArray[np.float64]]]:
-    """The scene with an episode's objects, and by name the center of mass [3] [m] of each in its asset's axes."""
+    """Return the scene with an episode's objects, and by name the center of mass [3] [m] of each in its asset's axes."""
     own = {thing.name for thing in objects}
     taken = {i.name for i in scene.instances}
     instances = [replace(i, name=_free(i.name, own | taken)) if i.name in own else i for i in scene.instances]
@@ -107,7 +107,7 @@ def with_objects(
 
 
 def _free(name: str, taken: Container[str]) -> str:
-    """The name with as many tildes as make it unique; Habitat counts an episode's objects without the scene's."""
+    """Return the name with as many tildes as make it unique; Habitat counts an episode's objects without the scene's."""
     name += "~"
     return name if name not in taken else _free(name, taken)
 

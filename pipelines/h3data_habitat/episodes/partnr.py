@@ -22,7 +22,7 @@ _LEVELS = 3
 
 
 def partnr_result(path: Path) -> dict[str, Any]:
-    """Returns the entry of an episode in ``processed_metrics.json``, in its folder or above; {} if there is none.
+    """Return the entry of an episode in ``processed_metrics.json``, in its folder or above; {} if there is none.
 
     Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there,
     and every other table that has the episode, under its own name.
@@ -54,6 +54,6 @@ def _result(file: Path, path: Path) -> dict[str, Any]:
 
 
 def _ends_alike(name: str, path: Path) -> bool:
-    """Returns whether a recorded file name means this file: session folder and file name are the same, or it is empty."""
+    """Return whether a recorded file name means this file: session folder and file name are the same, or it is empty."""
     recorded, ours = Path(name).parts[-2:], path.absolute().parts[-2:]
     return bool(recorded) and recorded == ours[-len(recorded) :]

@@ -69,7 +69,7 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
 
 @contextmanager
 def _whole_info(name: str) -> Iterator[None]:
-    """Refuses the info of a recording from which no record of an episode can be made."""
+    """Refuse the info of a recording from which no record of an episode can be made."""
     try:
         yield
     except (msgspec.ValidationError, TypeError, ValueError) as fault:
@@ -82,7 +82,7 @@ _POINT = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*)\)")
 
 
 def _goals(recording: Recording, human: int) -> tuple[Any, float]:
-    """The person's goals, and how far they may be off [m]."""
+    """Return the person's goals, and how far they may be off [m]."""
     exact = recording.episode.info.get("human_goals")
     if exact is not None:
         return exact, 0.0

@@ -25,7 +25,7 @@ def scene_of_episode(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> SceneSource:
-    """Returns the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
+    """Return the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
 
     A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
     home, the file is taken that the episode names: below ``folder``, the folder above it, the working directory or the
@@ -62,7 +62,7 @@ def scene_of_episode(
 
 
 def _named_file(episode: RearrangeEpisode, folder: Path, assets: tuple[str, ...]) -> tuple[str, str] | None:
-    """Path of the dataset and name of its scene, or path of a scene and nothing."""
+    """Return the path of the dataset and name of its scene, or path of a scene and nothing."""
     scene = Path(episode.scene_id).name.split(".")[0]
     for root in (folder, folder.parent, Path()):
         for config, file in (
@@ -101,7 +101,7 @@ def _digest(home: SceneSpec) -> str:
 
 
 def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
-    """The spec of a scene whose `Scene.source` is ``source``; None if no installed generator makes its kind.
+    """Return the spec of a scene whose `Scene.source` is ``source``; None if no installed generator makes its kind.
 
     Raises:
         TypeError, H3DataError: the generator does not know such values.

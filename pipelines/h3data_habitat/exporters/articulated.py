@@ -44,7 +44,7 @@ class ArticulatedExport:
         return found | {name for name in moved if by_name[name].motion == "static"}
 
     def add(self, scene: Scene, thing: Articulation, kind: str, semantic_id: int) -> tuple[str, dict[str, str]]:
-        """Writes the files of an articulated object of a scene, with its template.
+        """Write the files of an articulated object of a scene, with its template.
 
         Returns:
             The handle of the template, and Habitat's names of its receptacles by ours. Habitat's names lack the name of the
@@ -110,7 +110,7 @@ class ArticulatedExport:
 
 
 def articulated_instance(thing: Articulation, handle: str) -> dict[str, Any]:
-    """The entry of a scene instance that places a thing, its joints at rest."""
+    """Return the entry of a scene instance that places a thing, its joints at rest."""
     x, y, z, w = normalized(thing.pose[3:]).tolist()
     return {
         "template_name": handle,

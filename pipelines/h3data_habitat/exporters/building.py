@@ -48,7 +48,7 @@ def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh],
 
 
 def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
-    """A triangle of 0.1 mm in a lower corner of the building: a stage has to draw something."""
+    """Return a triangle of 0.1 mm in a lower corner of the building: a stage has to draw something."""
     corner = np.min([_world_box(scene, i)[0] for i in stage], axis=0)
     return Mesh(
         vertices=(corner + 1e-4 * np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0]])).astype(np.float32),
@@ -77,7 +77,7 @@ def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
 
 
 def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[NDArray[np.float64]]) -> Mesh:
-    """The mesh without what faces up on or in a ceiling, which nobody sees from inside.
+    """Return the mesh without what faces up on or in a ceiling, which nobody sees from inside.
 
     habitat-sim bakes its navmesh from the stage: the roof was the largest island. A ceiling whose underside alone is left
     is too steep to walk on, and tops of walls in it would lend it their walkability (``rcAddSpan`` merges spans).

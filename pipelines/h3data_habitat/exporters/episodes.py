@@ -33,7 +33,7 @@ EPISODES = "episodes/rearrange.json.gz"
 
 
 def export_habitat_episodes(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports recordings for ``h3data export --to habitat-episodes``."""
+    """Export recordings for ``h3data export --to habitat-episodes``."""
     folder = write_habitat_episodes(recordings, request.out, force=request.force)
     return Exported(
         text=f"{folder.episodes} episodes in {folder.scenes} scenes: {folder.file}\n{folder.config}",
@@ -64,7 +64,7 @@ class WrittenEpisodes:
 def write_habitat_episodes(
     recordings: Iterable[Recording], folder: str | Path, *, force: bool = False
 ) -> WrittenEpisodes:
-    """Writes a folder with a scene dataset and ``episodes/rearrange.json.gz``.
+    """Write a folder with a scene dataset and ``episodes/rearrange.json.gz``.
 
     Paths in the file lead through ``folder`` as it is given: Habitat finds the scenes from the working directory of the export.
 
@@ -119,7 +119,7 @@ def _entry(
     *,
     number: int,
 ) -> RearrangeEpisode:
-    """One episode: everything that moves, where it begins and where the goals are."""
+    """Return one episode: everything that moves, where it begins and where the goals are."""
     starts = {goal.object: np.array(goal.start, np.float64) for goal in record.goals}
     movable = [(dataset.add_object(scene, thing), thing) for thing in _movable(scene)]
     # by template: Habitat adds objects in this order and numbers them so
@@ -160,7 +160,7 @@ def _entry(
 
 
 def _furniture(scene: Scene) -> Scene:
-    """The scene without what moves."""
+    """Return the scene without what moves."""
     instances = tuple(i for i in scene.instances if i.motion == "static")
     return replace(scene, instances=instances, assets={i.asset: scene.assets[i.asset] for i in instances})
 
@@ -171,7 +171,7 @@ def _movable(scene: Scene) -> Sequence[Instance]:
 
 
 def _unused(name: str, taken: set[str]) -> str:
-    """The name, numbered if it is taken; it is taken from then on."""
+    """Return the name, numbered if it is taken; it is taken from then on."""
     unused, number = name, 1
     while unused in taken:
         unused, number = f"{name}-{number}", number + 1

@@ -137,7 +137,7 @@ def write_gfx_replay(
 
 
 def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Exports one recording for ``h3data export --to gfx-replay``."""
+    """Export one recording for ``h3data export --to gfx-replay``."""
     (recording,) = recordings
     folder = assets_folder(request.out)
     has_own_meshes = any(ref.uri.startswith("scene:") for ref in recording.assets) or any(
@@ -168,7 +168,7 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
 
 
 def assets_folder(path: Path) -> Path:
-    """Returns the folder of the GLB files of the replay ``path``."""
+    """Return the folder of the GLB files of the replay ``path``."""
     name = path.name
     for suffix in (".gz", ".json", ".gfx_replay"):
         name = name.removesuffix(suffix)
@@ -263,7 +263,7 @@ def _add_rig(keyframes: _Keyframes, rig: _Rig) -> None:
 
 
 def _rounded(poses: Array) -> tuple[Any, NDArray[np.bool_]]:
-    """A function from a step to its transform as it is written, and whether that differs from the step before."""
+    """Return a function from a step to its transform as it is written, and whether that differs from the step before."""
     values = np.round(np.asarray(poses, np.float64), DECIMALS) + 0.0
     changed = np.concatenate([[True], (values[1:] != values[:-1]).any(1)])
 
@@ -313,7 +313,7 @@ class _Assets:
     """By id of the mesh, which is held so that its id stays its own."""
 
     def file_of(self, part: PosedPart, ref: AssetRef | None, recording: Recording) -> tuple[str, _Item | None]:
-        """The path under which an instance is created and the load entry of its file, if it has one."""
+        """Return the path under which an instance is created and the load entry of its file, if it has one."""
         if ref is None or ref.uri.startswith(("scene:", HANDLE)):
             if not len(part.mesh.faces):
                 return _NO_FILE, None
@@ -355,7 +355,7 @@ class _Assets:
 
 
 def _place(part: PosedPart, recording: Recording) -> str:
-    """Returns the path of a GLB file below the assets: the names by which readers know robots and people."""
+    """Return the path of a GLB file below the assets: the names by which readers know robots and people."""
     if part.body is not None:
         return "objects/" + _plain(part.body.asset)
     model = _plain(recording.agents[part.agent].model.partition("/")[2])
@@ -382,7 +382,7 @@ def _load(path: str, ref: AssetRef) -> _Item:
 
 
 def _phong(color: tuple[int, int, int]) -> str:
-    """The material of an instance as habitat-sim appends it to the path: sRGB, one RGBA number each."""
+    """Return the material of an instance as habitat-sim appends it to the path: sRGB, one RGBA number each."""
     r, g, b = color
     value = r << 24 | g << 16 | b << 8 | 255
     return f"?phong_amb_{value}_dif_{value}_spec_{value}"

@@ -23,7 +23,7 @@ _AXES = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
 
 
 def axis_lights() -> list[tuple[list[float], list[float]]]:
-    """Direction in which each light travels, and its sRGB colour times its intensity."""
+    """Return the direction in which each light travels, and its sRGB colour times its intensity."""
     return [([float(-v) for v in axis], color) for axis, color in zip(_AXES, _colors().round(4).tolist(), strict=True)]
 
 
@@ -40,7 +40,7 @@ def _colors() -> NDArray[np.float64]:
 
 
 def light_setup() -> dict[str, Any]:
-    """Content of a ``*.lighting_config.json``."""
+    """Return the content of a ``*.lighting_config.json``."""
     return {
         "lights": {
             str(k): {"type": "directional", "direction": direction, "intensity": 1.0, "color": color}

@@ -68,7 +68,7 @@ _MARK = "h3data.habitat_export"
 
 
 def export_habitat(scene: Scene, folder: str | Path, *, split_building: bool = False, force: bool = False) -> Path:
-    """Path of the ``*.scene_dataset_config.json`` of a new folder with one scene in Habitat's formats.
+    """Return the path of the ``*.scene_dataset_config.json`` of a new folder with one scene in Habitat's formats.
 
     As `export_habitat_dataset` with one scene.
     """
@@ -83,7 +83,7 @@ def export_habitat_dataset(
     split_building: bool = False,
     force: bool = False,
 ) -> Path:
-    """Path of the ``*.scene_dataset_config.json`` of a new folder with scenes that share their objects.
+    """Return the path of the ``*.scene_dataset_config.json`` of a new folder with scenes that share their objects.
 
     The building (`STAGE_CATEGORIES`) becomes the stage, everything else objects with ``asset_local`` poses and a centre
     of mass at the asset's origin, so that both of Habitat's origins are the same point (spec/habitat.md 6.1-6.4, 6.7;
@@ -117,14 +117,14 @@ class DatasetExport:
     """A scene dataset that is put together scene by scene; see `export_habitat_dataset`."""
 
     def __init__(self, folder: str | Path, name: str, *, split_building: bool = False, force: bool = False) -> None:
-        """Refuses a folder that holds anything, unless ``force`` and an earlier export made it."""
+        """Refuse a folder that holds anything, unless ``force`` and an earlier export made it."""
         self.folder, self._force = Path(folder), force
         self.config = self.folder / f"{_file_name(name)}{DATASET_ENDING}"
         self._files = _Files(split_building)
         _refuse(self.folder, force=force)
 
     def add_scene(self, scene: Scene) -> tuple[Path, Mapping[str, str]]:
-        """Path of the scene instance that will be written, and Habitat's names of the scene's receptacles by ours.
+        """Return the path of the scene instance that will be written, and Habitat's names of the scene's receptacles by ours.
 
         Scenes need different names.
         """
@@ -140,7 +140,7 @@ class DatasetExport:
         )
 
     def write(self) -> Path:
-        """Writes the folder; returns the path of the dataset's config."""
+        """Write the folder; return the path of the dataset's config."""
         files = self._files
         opens = {"articulated_objects": {"paths": {".json": ["urdf/*"]}}} if files.articulated else {}
         files.json(self.config.name, {**_dataset_config(), **opens, "navmesh_instances": files.navmeshes})
@@ -174,7 +174,7 @@ class _Files:
         return self._templates[id(asset), semantic_id]
 
     def glb(self, folder: str, mesh: Mesh) -> str:
-        """Name of the GLB with a mesh, beside which a config may name it; equal meshes share one file."""
+        """Return the name of the GLB with a mesh, beside which a config may name it; equal meshes share one file."""
         data = glb_bytes([mesh])
         file = f"{hashlib.sha256(data).hexdigest()[:16]}.glb"
         self.content[f"{folder}/{file}"] = data
@@ -182,7 +182,7 @@ class _Files:
 
 
 def _dataset_config() -> dict[str, Any]:
-    """Lists the folders, as HSSD's own config does."""
+    """List the folders, as HSSD's own config does."""
     return {
         "stages": {"default_attributes": {"shader_type": SHADER, **_AXES}, "paths": {".json": ["stages"]}},
         "objects": {"default_attributes": {"shader_type": SHADER, **_AXES}, "paths": {".json": ["objects"]}},
@@ -198,7 +198,7 @@ def _dataset_config() -> dict[str, Any]:
 
 # --- one scene --------------------------------------------------------------------------------------------------------
 def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
-    """Adds the files of a scene; returns Habitat's names of its receptacles by ours."""
+    """Add the files of a scene; return Habitat's names of its receptacles by ours."""
     # before anything is added: a scene is written whole or not at all
     for instance in scene.instances:
         if not (np.isfinite(instance.pose).all() and np.isfinite(instance.scale).all() and np.all(instance.scale)):
@@ -265,7 +265,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
 
 
 def _add_navmesh(files: _Files, handle: str, scene: Scene) -> bool:
-    """Adds the navmesh of the free floor, furniture included; False, with a warning, for a scene without one."""
+    """Add the navmesh of the free floor, furniture included; False, with a warning, for a scene without one."""
     try:
         free = FreeSpace.from_scene(scene, radius_m=_AGENT_RADIUS_M, height_m=_AGENT_HEIGHT_M)
         if free.polygon.is_empty:
@@ -303,7 +303,7 @@ def _instance_record(pose: NDArray[np.float64], template: str, motion: str, ours
 def _add_stage(
     files: _Files, handle: str, scene: Scene, stage: Sequence[Instance], *, split: bool
 ) -> list[dict[str, Any]]:
-    """Adds the building; returns its object instances if it is ``split``."""
+    """Add the building; return its object instances if it is ``split``."""
     meshes, nodes = building_parts(scene, stage)
     for node in nodes:
         ours = node.extras["h3data"]
@@ -335,7 +335,7 @@ def _add_stage(
 def _add_building_object(
     files: _Files, handle: str, meshes: Sequence[Mesh], nodes: Sequence[GlbNode]
 ) -> dict[str, Any]:
-    """Adds an object of all parts of the building that look alike to a semantic sensor; the stage does their collisions."""
+    """Add an object of all parts of the building that look alike to a semantic sensor; the stage does their collisions."""
     ours = nodes[0].extras["h3data"]
     content = glb_bytes(meshes, nodes)
     name = f"{handle}_{ours['category']}_{hashlib.sha256(content).hexdigest()[:16]}"
@@ -348,7 +348,7 @@ def _add_building_object(
 
 
 def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, str, dict[str, Any]]]:
-    """Receptacles of the building (our name, key, entry), in the world frame."""
+    """Return receptacles of the building (our name, key, entry), in the world frame."""
     found = []
     for instance in stage:
         matrix = instance_matrix(instance)
@@ -363,13 +363,13 @@ def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[st
 
 
 def _receptacle_filter(names: list[str]) -> dict[str, list[str]]:
-    """All receptacles are to be used; habitat-lab expects the other lists as well (spec/habitat.md 6.4)."""
+    """Return all receptacles are to be used; habitat-lab expects the other lists as well (spec/habitat.md 6.4)."""
     empty = ("manually_filtered", "access_filtered", "stability_filtered", "height_filtered", "within_set")
     return {"active": names, **{key: [] for key in empty}}
 
 
 def _region_annotations(rooms: Sequence[Room]) -> list[dict[str, Any]]:
-    """Rooms as Habitat's semantic regions: a prism over each rectangle (spec/habitat.md 6.3)."""
+    """Return rooms as Habitat's semantic regions: a prism over each rectangle (spec/habitat.md 6.3)."""
     found = []
     for room in rooms:
         rectangles = np.asarray(room.rectangles, np.float64).tolist()
@@ -392,7 +392,7 @@ def _region_annotations(rooms: Sequence[Room]) -> list[dict[str, Any]]:
 
 # --- one object -------------------------------------------------------------------------------------------------------
 def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
-    """Writes the config and the GLBs of one kind of object; gives its handle.
+    """Write the config and the GLBs of one kind of object; give its handle.
 
     Handles end in a hash, so that none is a part of another: habitat-sim takes the first that *contains* a name.
     Collision parts go into a GLB of their own, one mesh each, and stay apart (``join_collision_meshes`` false).

@@ -115,13 +115,13 @@ def person_roots(
 
 
 def robot_model(uri: str) -> str | None:
-    """The robot's folder name, e.g. ``hab_spot_arm``, if a recorded path is a robot link."""
+    """Return the robot's folder name, e.g. ``hab_spot_arm``, if a recorded path is a robot link."""
     match = _ROBOT.search(uri)
     return (match.group(2) or match.group(3)) if match else None
 
 
 def is_humanoid(uri: str) -> bool:
-    """Returns whether a recorded path is a humanoid's mesh."""
+    """Return whether a recorded path is a humanoid's mesh."""
     return _HUMAN.search(uri) is not None
 
 
@@ -154,7 +154,7 @@ def _is_base(uri: str) -> bool:
 
 
 def _base_height(model: str) -> float | None:
-    """Height of a robot's base link over the floor [m]; None if unknown."""
+    """Return the height of a robot's base link over the floor [m]; None if unknown."""
     if model in robot_names():
         robot = load_robot(model)
         return float(robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0, 0, 1, 3])
@@ -162,7 +162,7 @@ def _base_height(model: str) -> float | None:
 
 
 def _root(group: _Group, uris: Sequence[str], bodies: Sequence[Body]) -> tuple[int, AgentInfo]:
-    """Index of the body that carries the agent's frame."""
+    """Return the index of the body that carries the agent's frame."""
     record: dict[str, Any] = {"kind": group.kind, "found_as": group.model, "bodies": len(group.bodies)}
     warnings = []
     # links come in any order; without a base link the first one is the best guess

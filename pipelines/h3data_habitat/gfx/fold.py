@@ -35,13 +35,13 @@ class Updates:
     """True if the values are pose7 already; before, they are x y z and w x y z."""
 
     def add(self, step: int, transform: Transform) -> None:
-        """Adds the pose of a node."""
+        """Add the pose of a node."""
         self.steps.append(step)
         self._values.extend(transform.translation)
         self._values.extend(transform.rotation)
 
     def add_bones(self, step: int, bones: list[BonePose]) -> None:
-        """Adds the poses of all bones of a rig."""
+        """Add the poses of all bones of a rig."""
         self.steps.append(step)
         for bone in bones:
             self._values.extend(bone.t)
@@ -70,7 +70,7 @@ class Updates:
         return poses
 
     def drop_after(self, step: int) -> None:
-        """Drops the updates after the latest one at or before ``step``."""
+        """Drop the updates after the latest one at or before ``step``."""
         # the latest one before a block is its first pose, and stays
         keep = bisect_right(self.steps, step)
         width = len(self._values) // max(len(self.steps), 1)
@@ -91,19 +91,19 @@ class Life:
     semantic_id: int = 0
     updates: Updates = field(default_factory=Updates)
     track: int = -1
-    """Number of its track among those of moving instances; -1: it never moves."""
+    """Number of the instance's track among those of moving instances; -1 if it never moves."""
 
     @property
     def placed(self) -> bool:
-        """Returns whether the instance was created with a pose; without one, the player leaves it at the origin."""
+        """Return whether the instance was created with a pose; without one, the player leaves it at the origin."""
         return bool(self.updates.steps) and self.updates.steps[0] == self.start
 
     def first_pose(self) -> NDArray[np.float32]:
-        """First pose (pose7) of the instance [7]."""
+        """Return the first pose (pose7) of the instance [7]."""
         return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
 
     def moves(self, steps: int) -> bool:
-        """Returns whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
+        """Return whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
         lasts = self.start == 0 and self.end in (-1, steps)
         return not lasts or bool(np.any(self.updates.poses() != self.first_pose()))
 
@@ -149,12 +149,12 @@ class Fold:
     """Counts of oddities, by description."""
 
     def note(self, what: str) -> None:
-        """Counts an oddity."""
+        """Count an oddity."""
         self.counts[what] = self.counts.get(what, 0) + 1
 
 
 def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
-    """Applies the keyframes one after another, as Habitat's player does; ``path`` appears in error texts."""
+    """Apply the keyframes one after another, as Habitat's player does; ``path`` appears in error texts."""
     fold = Fold()
     live: dict[int, Life] = {}
     light_bytes = 0
@@ -198,8 +198,8 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
             life.track = len(fold.movers)
             fold.movers.append(life)
     bones = sum(rig.bones for rig in fold.rigs.values())
-    check_size(fold.steps, max(len(fold.movers), len(fold.user), bones), path)
     _check_rotations(fold, path)
+    check_size(fold.steps, max(len(fold.movers), len(fold.user), bones), path)
     return fold
 
 
@@ -266,7 +266,7 @@ def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
 
 
 def _filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
-    """Latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7].
+    """Return the latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7].
 
     They are NaN before the first update, and from the keyframe ``end`` on unless that is -1.
     """
@@ -300,7 +300,7 @@ def _lights(text: bytes, step: int, path: Path) -> list[dict[str, Any]]:
 
 
 def _create_and_delete(fold: Fold, live: dict[int, Life], step: int, keyframe: Keyframe) -> None:
-    """Applies one keyframe's deletions and creations.
+    """Apply one keyframe's deletions and creations.
 
     The player creates first and then deletes. A key that existed before and is in both lists is another instance that
     re-uses the key: the old one ends, the new one stays. A key that did not exist before cancels itself out.

@@ -6,6 +6,7 @@ out, unknown members are ignored, and the enumeration ``type``, which changed ov
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from itertools import chain
@@ -15,10 +16,11 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.formats import SourceFile
+from h3data.formats import SourceFile, json_format
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
 from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
-from h3data_habitat.json_stream import ArrayElements
+from h3data_habitat.json_files import not_json, truncated
+from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """Fits a float32 even after a product or two."""
@@ -164,7 +166,7 @@ _OPENING_BYTES = 4096
 class Undecodable(Exception):
     """Text of a file that cannot be decoded as what belongs there.
 
-    `h3data_habitat.gfx.faults.explain` makes an error for users of it.
+    `explain` makes an error for users of it.
     """
 
     def __init__(
@@ -183,7 +185,7 @@ class Undecodable(Exception):
 
 
 def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[Keyframe]:
-    """Yields the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
+    """Yield the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
 
     A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
     with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
@@ -265,3 +267,61 @@ def _decoded(text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0)
         return decode_json(text, kind)
     except msgspec.DecodeError as fault:
         raise Undecodable(text, fault, keyframe=keyframe, start=start) from None
+
+
+# --- faults -----------------------------------------------------------------------------------------------------------
+def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
+    """Return the error that says where and why a file is not a gfx-replay, and what else it looks like."""
+    if isinstance(fault, ArrayFault):
+        if str(fault) == "truncated":
+            return truncated(path, fault.at)
+        return FormatError(
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
+        )
+    text, reason = fault.text, fault.fault
+    content, damage = None, None if isinstance(reason, msgspec.ValidationError) else reason
+    # text of another shape than expected may also stop being JSON further on
+    if damage is None and fault.keyframe < 0:
+        try:
+            content = decode_json(text)
+        except msgspec.DecodeError as found:
+            damage = found
+    if damage is not None:
+        return not_json(path, text, damage, start=fault.start)
+    is_replay = isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe"))
+    if fault.keyframe >= 0 or (reason is not None and is_replay):
+        what, _, where = str(reason).partition(" - at `")
+        place = _place(fault, where.rstrip("`").removeprefix("$").removeprefix("."))
+        return FormatError(
+            f"Not a valid gfx-replay: {what[:1].lower() + what[1:]} at {place}: {path}", code="H3-HABITAT-059"
+        )
+    if isinstance(content, dict):
+        keys = ", ".join(list(content)[:8]) or "none"
+        shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
+    else:
+        shape = f"It holds a JSON {type(content).__name__}."
+    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}", code="H3-HABITAT-058")
+
+
+def _place(fault: Undecodable, where: str) -> str:
+    """Name the place ``where`` (a path of members and indices) of a fault; an instance is named by its key."""
+    if fault.keyframe < 0:
+        return where or "its top level"
+    place = f"keyframe {fault.keyframe}"
+    match = re.match(r"(\w+)(?:\[(\d+)\])?", where)
+    if match is None:
+        return place
+    group, index = match.groups()
+    item = None if index is None else _item(fault.text, group, int(index))
+    key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
+    number = f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
+    return f"{place}, {group}{number} ({where})"
+
+
+def _item(text: bytes, group: str, index: int) -> Any:
+    try:
+        # msgspec refuses numbers that are too large, which may be the fault to explain
+        return json.loads(text)[group][index]
+    # a member may occur twice
+    except (ValueError, RecursionError, LookupError, TypeError):
+        return None

@@ -21,9 +21,8 @@ from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 from h3data.srgb import linear_to_bytes
 from h3data_habitat.gfx.agents import add_agents, person_roots
-from h3data_habitat.gfx.faults import explain
 from h3data_habitat.gfx.fold import Fold, Life, Loaded, fold_keyframes, pose_columns
-from h3data_habitat.gfx.keyframes import Load, Undecodable, read_keyframes
+from h3data_habitat.gfx.keyframes import Load, Undecodable, explain, read_keyframes
 from h3data_habitat.json_stream import ArrayFault
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
@@ -33,7 +32,7 @@ _GENERIC_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets
 
 
 def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -> Recording:
-    """Reads the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
+    """Read the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
 
     A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the rendered nodes, asset names, nothing else. So:
 
@@ -60,9 +59,8 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
         fold = fold_keyframes(read_keyframes(file, digest.update), path)
     except (Undecodable, ArrayFault) as fault:
         raise explain(path, fault) from None
-    assets, refs, notes = _assets(fold, path)
     # before the columns, which consume the poses
-    bodies = _bodies(fold, refs)
+    assets, bodies, notes = _assets_and_bodies(fold, path)
     columns = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns, **pose_columns(fold)}
     roots = person_roots(fold.lives, bodies, columns)
     agents, bodies, agent_columns, agent_info = add_agents(
@@ -114,9 +112,8 @@ def _step_ns(fps: float) -> int:
     return STEP_NS if fps == 30 else round(1e9 / fps)
 
 
-# --- assets -----------------------------------------------------------------------------------------------------------
-def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str]]:
-    """Assets of the recording, the asset name of each life, and warnings."""
+def _assets_and_bodies(fold: Fold, path: Path) -> tuple[list[AssetRef], list[Body], list[str]]:
+    """Return the assets of the recording, one body for each life, and warnings."""
     refs: dict[tuple[Any, ...], AssetRef] = {}
     used: dict[str, int] = {}
     names, unloaded, hidden = [], set(), 0
@@ -156,7 +153,19 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
         notes.append(f"{hidden} instances were recorded without a file (hidden while recording): they are invisible")
     if unloaded:
         notes.append(f"{len(unloaded)} assets have no load entry, their frame is taken as +Y up: {sorted(unloaded)[0]}")
-    return list(refs.values()), names, notes
+    taken: dict[str, int] = {}
+    bodies = [
+        Body(
+            name=_unique(f"{name}_{life.key}", taken),
+            asset=name,
+            pose=life.first_pose(),
+            scale=np.array(life.creation.scale, np.float32),
+            semantic_id=life.semantic_id,
+            moving=life.track,
+        )
+        for life, name in zip(fold.lives, names, strict=True)
+    ]
+    return list(refs.values()), bodies, notes
 
 
 def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
@@ -180,13 +189,13 @@ def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
 
 
 def _plus_zero(axis: Sequence[float]) -> tuple[float, float, float]:
-    """The axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
+    """Return the axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
     x, y, z = (float(v) + 0.0 for v in axis)
     return (x, y, z)
 
 
 def _short_name(uri: str) -> str:
-    """A descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
+    """Return a descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
     if uri.startswith("primitive:"):
         return uri.removeprefix("primitive:").split("_", 1)[0]
     parts = PurePosixPath(uri)
@@ -196,7 +205,7 @@ def _short_name(uri: str) -> str:
 
 
 def _unique(name: str, used: dict[str, int]) -> str:
-    """The name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
+    """Return the name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
     # from the last number on: thousands of instances share a name, and counting from 1 takes their square
     candidate, number = name, used.get(name, 0)
     while candidate in used:
@@ -209,23 +218,6 @@ def _unique(name: str, used: dict[str, int]) -> str:
 
 def _is_stage(life: Life) -> bool:
     return life.creation.isStatic or _SCENE_FOLDER.search(life.creation.filepath) is not None
-
-
-# --- bodies -----------------------------------------------------------------------------------------------------------
-def _bodies(fold: Fold, refs: Sequence[str]) -> list[Body]:
-    """One body per life."""
-    used: dict[str, int] = {}
-    return [
-        Body(
-            name=_unique(f"{ref}_{life.key}", used),
-            asset=ref,
-            pose=life.first_pose(),
-            scale=np.array(life.creation.scale, np.float32),
-            semantic_id=life.semantic_id,
-            moving=life.track,
-        )
-        for life, ref in zip(fold.lives, refs, strict=True)
-    ]
 
 
 def _rig_info(fold: Fold, bodies: Sequence[Body]) -> list[Mapping[str, Any]]:

@@ -60,12 +60,12 @@ def tilt_rad(roots: Array) -> float:
 
 
 def agent_kinds(tracks: Sequence[AgentTrack]) -> list[AgentKind]:
-    """Kind of each agent: a posture or a tilted root makes a person (`LEVEL_RAD`)."""
+    """Return the kind of each agent: a posture or a tilted root makes a person (`LEVEL_RAD`)."""
     return ["human" if t.joints is not None or tilt_rad(t.roots) > LEVEL_RAD else "robot" for t in tracks]
 
 
 def robot_named_in(*texts: str) -> str:
-    """The first of Habitat's robots that a text names; Spot, the robot of Habitat 3.0, if it names none."""
+    """Return the first of Habitat's robots that a text names; Spot, the robot of Habitat 3.0, if it names none."""
     joined = " ".join(texts).lower()
     # the first one named is that of the configuration; others stand in lists of options
     found = [(joined.find(name), name) for name in _ROBOTS if name in joined]
@@ -73,7 +73,7 @@ def robot_named_in(*texts: str) -> str:
 
 
 def root_height_m(kind: AgentKind, robot: str) -> float:
-    """Height of the logged root over the floor [m]."""
+    """Return the height of the logged root over the floor [m]."""
     return HUMAN_ROOT_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
 
 
@@ -130,7 +130,7 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
 
 # --- people -----------------------------------------------------------------------------------------------------------
 def infer_joint_order(joints: Array) -> JointOrder:
-    """The order of joints [T, 54, 4]: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
+    """Return the order of joints [T, 54, 4]: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
 
     The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much
     (arms hang down) and jaw and eyes hardly.

@@ -39,7 +39,7 @@ Scalar = TypeVar("Scalar", bound=np.number[Any])
 
 
 def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
-    """The JSON document as ``kind``; a `FormatError` says where it differs from the file format named ``expected``."""
+    """Return the JSON document as ``kind``; a `FormatError` says where it differs from the file format named ``expected``."""
     try:
         return decode_json(data, kind)
     except msgspec.ValidationError as fault:
@@ -65,7 +65,7 @@ class PoseTracks:
     _poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
 
     def add(self, name: str, step: int, position: Vec3, rotation: Quat) -> None:
-        """Adds one pose7; a later one of the same step replaces an earlier one."""
+        """Add one pose7; a later one of the same step replaces an earlier one."""
         if name not in self._rows:
             self.names.append(name)
             self._rows[name], self._poses[name] = [], []
@@ -85,7 +85,7 @@ class PoseTracks:
 
 
 def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray[np.float64]:
-    """The track [T, 7] with unit quaternions (logs are rounded); a quaternion of length 0 is a `FormatError`."""
+    """Return the track [T, 7] with unit quaternions (logs are rounded); a quaternion of length 0 is a `FormatError`."""
     length = np.linalg.norm(track[:, 3:], axis=1)
     bad = np.flatnonzero(length < 1e-3)
     if len(bad):
@@ -97,7 +97,10 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
 
 
 def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """The track [T, ...] in which every step has the row of the latest ``known`` step [T]; before the first, of that one."""
+    """Return the track [T, ...] in which every step has the row of the latest ``known`` step [T].
+
+    Steps before the first known one have the row of that one.
+    """
     if not known.any():
         return track
     # running maximum of the known steps: the latest one at or before each
@@ -170,7 +173,7 @@ class HitlEpisode:
     path: Path
     data: bytes
     form: str
-    """``hitl_log`` or ``hitl_episode``."""
+    """Format of the file, ``hitl_log`` or ``hitl_episode``."""
     episode_id: str
     created_by: str
     dt_ns: int
@@ -187,17 +190,17 @@ class HitlEpisode:
     warnings: list[str] = field(default_factory=list)
 
     def kinds(self) -> list[AgentKind]:
-        """Kind of each agent, in their order."""
+        """Return the kind of each agent, in their order."""
         return agent_kinds(self.tracks)
 
     def floor_y(self) -> float:
-        """Height on which the agents stand most of the time [m]; 0 without agents."""
+        """Return the height on which the agents stand most of the time [m]; 0 without agents."""
         heights = [t.roots[:, 1] - root_height_m(k, self.robot) for t, k in zip(self.tracks, self.kinds(), strict=True)]
         known = np.concatenate([h[np.isfinite(h)] for h in heights]) if heights else np.zeros(0)
         return float(np.median(known)) if len(known) else 0.0
 
     def recording(self, place: Place) -> Recording:
-        """The episode as a recording in ``place``."""
+        """Return the episode as a recording in ``place``."""
         check_size(len(self.time_ns), len(self.tracks), self.path)
         kinds = self.kinds()
         agents, columns, notes = add_agents(
@@ -245,10 +248,10 @@ class HitlEpisode:
 
     @staticmethod
     def _housed(body: Body, renamed: Mapping[str, str], index: Mapping[str, int]) -> Body:
-        """A body of the place, renamed if an object has its name."""
+        """Return a body of the place, renamed if an object has its name."""
         return replace(body, name=f"scene/{body.name}" if body.name in index else body.name, asset=renamed[body.asset])
 
 
 def template_of(handle: str) -> str:
-    """The template's name in a handle: without the number of the instance and without folders."""
+    """Return the template's name in a handle: without the number of the instance and without folders."""
     return handle.split("_:")[0].rsplit("/", 1)[-1] or "object"

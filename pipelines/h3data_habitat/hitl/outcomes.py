@@ -25,7 +25,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
-    """Returns ``metrics.success`` and ``metrics.collision`` [T], where the logged columns contain them.
+    """Return ``metrics.success`` and ``metrics.collision`` [T], where the logged columns contain them.
 
     They are False at steps that were not logged.
     """
@@ -44,7 +44,7 @@ def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
 
 
 def at_goal(goals: Any, tracks: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.bool_] | None, list[str]]:
-    """Returns ``metrics.at_goal`` [T, K] of K objects with tracks [T, 7] and logged ``goal_positions``, and warnings.
+    """Return ``metrics.at_goal`` [T, K] of K objects with tracks [T, 7] and logged ``goal_positions``, and warnings.
 
     None without goals, or if they are not K points. An object without a position is not at its goal.
     """

@@ -80,7 +80,7 @@ def read_hitl_log(
     assets: AssetLibrary | None = None,
     joint_order: JointOrder | None = None,
 ) -> Recording:
-    """Reads the recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
+    """Read the recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
 
     - The log has no time stamps: row k is step k at ``fps`` steps per second.
     - A person's whole posture is in the action vector (spec/habitat-findings.md 9): ``agent_<i>.joint_quat`` holds it,
@@ -204,7 +204,7 @@ def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], li
 
 
 def _vector(action: Any) -> list[float] | None:
-    """The flat numbers of an action: a list, or an object whose arguments hold a person's joints."""
+    """Return the flat numbers of an action: a list, or an object whose arguments hold a person's joints."""
     if isinstance(action, dict):
         args = action.get("action_args")
         found = [v for k, v in args.items() if k.endswith("human_joints_trans")] if isinstance(args, dict) else []
@@ -235,7 +235,7 @@ def _people(actions: Array, roots: Sequence[Array]) -> dict[int, int]:
 
 
 def _is_posture(part: Array) -> NDArray[np.bool_]:
-    """Rows [T] of a person's part [T, 248] that are quaternions and two rigid matrices."""
+    """Return rows [T] of a person's part [T, 248] that are quaternions and two rigid matrices."""
     with np.errstate(invalid="ignore"):
         length = np.linalg.norm(part[:, :JOINT_VALUES].reshape(len(part), -1, 4), axis=2)
         base = part[:, -16:].reshape(-1, 4, 4)  # [column, row]
@@ -284,7 +284,7 @@ def _numbers(value: Any) -> bool:
 
 
 def _events(steps: Sequence[Step], tracks: Sequence[AgentTrack]) -> list[Event]:
-    """Picks and places of the person at the keyboard."""
+    """Return the places at which the person at the keyboard picks and places."""
     person = next((i for i, t in enumerate(tracks) if t.joints is not None), -1)
     events = []
     for k, step in enumerate(steps):

@@ -63,7 +63,7 @@ class _Datetime(Record):
 
 
 def _vector3(*values: Any) -> Any:
-    """The three numbers of a magnum vector."""
+    """Return the three numbers of a magnum vector."""
     # one version of the tool passes a list, another three numbers
     return values[0] if len(values) == 1 else list(values)
 
@@ -85,7 +85,7 @@ for _name in ("dict", "list", "tuple", "str", "int", "float", "bool"):  # omegac
 
 
 def json_of_pickled_log(data: bytes, path: Path) -> bytes:
-    """The log as JSON; dates become text ``YYYY-MM-DD HH:MM:SS.ffffff``, NaN null.
+    """Return the log as JSON; dates become text ``YYYY-MM-DD HH:MM:SS.ffffff``, NaN null.
 
     Raises:
         FormatError: the pickle asks for a name that such logs do not have (the message names it), or is damaged.

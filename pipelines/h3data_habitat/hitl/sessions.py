@@ -102,7 +102,7 @@ class File(msgspec.Struct):
 def read_hitl_episode(
     path: str | os.PathLike[str], *, assets: AssetLibrary | None = None, quaternion_order: Order | None = None
 ) -> Recording:
-    """Reads the recording in an ``{episode_index}.json(.gz)`` of a ``rearrange_v2`` session.
+    """Read the recording in an ``{episode_index}.json(.gz)`` of a ``rearrange_v2`` session.
 
     The file logs the roots of agents and objects, no joints. So:
 
@@ -187,7 +187,7 @@ def read_hitl_episode(
 
 
 def upright_order(roots: Sequence[NDArray[np.float64]]) -> Order:
-    """Order of the quaternions of agents' roots [T, 7]: in the wrong one agents lie or stand on their heads."""
+    """Return the order of the quaternions of agents' roots [T, 7]: in the wrong one agents lie or stand on their heads."""
     tracks = [r[np.isfinite(r).all(1), 3:] for r in roots]
     quats = normalized(np.concatenate(tracks)) if tracks else np.zeros((0, 4))
     if not len(quats):
@@ -256,7 +256,7 @@ def _wall_clock(episode: Mapping[str, Any], t0_s: float) -> dict[str, int]:
 
 
 def _nominal_step_ns(config: Any) -> int:
-    """The tool's target step (``habitat_hitl.target_sps``); 1/30 s if the file has none."""
+    """Return the tool's target step (``habitat_hitl.target_sps``); 1/30 s if the file has none."""
     tool = config.get("habitat_hitl") if isinstance(config, dict) else None
     rate = tool.get("target_sps") if isinstance(tool, dict) else None
     if isinstance(rate, (int, float)) and 1 <= rate <= 1000 and rate != 30:

@@ -12,7 +12,7 @@ _DEPTH = 64
 
 
 def without_user_ids(document: Any, *, key: bytes | None = None, depth: int = 0) -> Any:
-    """The JSON document with a pseudonym for each ``user_id``, at any depth up to 64.
+    """Return the JSON document with a pseudonym for each ``user_id``, at any depth up to 64.
 
     Args:
         document: JSON types.

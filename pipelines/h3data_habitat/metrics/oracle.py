@@ -33,14 +33,14 @@ class Paths(Protocol):
     """A shortest-path planner: `h3data_habitat.navmesh.pathfinder.PathFinder` or habitat-sim's own."""
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Returns waypoints [k, 3] from start to end; k = 0 if there is no path."""
+        """Return waypoints [k, 3] from start to end; k = 0 if there is no path."""
         ...
 
 
 def steps_to_find(
     paths: Paths, robot_pose: ArrayLike, human_pos: ArrayLike, *, hz: float = 120.0, speed: float = 10.0
 ) -> int:
-    """Returns the steps ``r`` of the greedy robot from a pose7 [7] until it is within 2 m of a standing human [3], facing them.
+    """Return the steps ``r`` of the greedy robot from a pose7 [7] until it is within 2 m of a standing human [3], facing them.
 
     ``speed`` is in Habitat's units, for driving [m] and turning [rad], integrated over 1 / ``hz`` seconds per step.
     """
@@ -82,7 +82,7 @@ def oracle_min_steps(
     speed: float = 10.0,
     every: int = 1,
 ) -> int | None:
-    """Returns ``l``, the first step i = 1, 2, ... whose human position the robot reaches in time; None if there is none.
+    """Return ``l``, the first step i = 1, 2, ... whose human position the robot reaches in time; None if there is none.
 
     Args:
         paths: Planner on the map of the episode.
@@ -105,6 +105,6 @@ def oracle_min_steps(
 
 
 def _cosine(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Cosine between two directions on the floor; ``a`` is a unit vector; 1 if ``b`` has no length."""
+    """Return the cosine between two directions on the floor; ``a`` is a unit vector; 1 if ``b`` has no length."""
     length = math.hypot(*b)
     return max(-1.0, min(1.0, (a[0] * b[0] + a[1] * b[1]) / length)) if length > 0 else 1.0

@@ -41,7 +41,7 @@ _ORACLE_RATE = {MAIN: "60", PAPER_RELEASE: "120"}
 
 
 def compute_habitat(recording: Recording, notes: Notes, *, metrics: tuple[Metric, ...], variant: str) -> Computed:
-    """Computes the last values of Habitat's measures and the sums of its rewards."""
+    """Compute the last values of Habitat's measures and the sums of its rewards."""
     robot, human = find_agents(recording)
     missing = note_missing(metrics, recording, notes)
     names = [m.name for m in metrics]
@@ -55,7 +55,7 @@ def compute_habitat(recording: Recording, notes: Notes, *, metrics: tuple[Metric
 
 
 def habitat_series(recording: Recording, *, variant: str) -> Series:
-    """Computes every key of ``SocialNavStats`` as emitted at every row [T], the rewards, and the flags behind them."""
+    """Compute every key of ``SocialNavStats`` as emitted at every row [T], the rewards, and the flags behind them."""
     robot, human = find_agents(recording)
     columns = recording.columns
     config = config_of(recording.episode.info)
@@ -106,7 +106,7 @@ def _rewards(
 
 
 def _final(name: str, series: Series) -> float | None:
-    """Value of a metric whose columns are recorded; None where the settings need data that is not."""
+    """Return the value of a metric whose columns are recorded; None where the settings need data that is not."""
     if name == "num_agents_collide":
         return float(np.sum(series["collision"]))
     key = {"nav_seek_success": "success"}.get(name, name)

@@ -32,7 +32,7 @@ class TaskTrack:
 
 
 def goal_errors(track: HabitatTrack, goal_pos: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns the distance on the floor [m] and the angle [rad] from the robot to a goal [3], each [T]."""
+    """Return the distance on the floor [m] and the angle [rad] from the robot to a goal [3], each [T]."""
     towards = (goal_pos - track.robot_pos)[:, [0, 2]]
     cosine = np.sum(unit_vectors(track.robot_transform[:, [0, 2], 0]) * unit_vectors(towards), axis=1)
     return np.linalg.norm(towards, axis=1), np.arccos(np.clip(cosine, -1, 1))
@@ -41,7 +41,7 @@ def goal_errors(track: HabitatTrack, goal_pos: NDArray[np.float64]) -> tuple[NDA
 def seek_success(
     track: HabitatTrack, task: TaskTrack, config: SuccessConfig, *, variant: str = MAIN
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Returns the steps followed so far (not necessarily consecutive) and whether they suffice, each [T].
+    """Return the steps followed so far (not necessarily consecutive) and whether they suffice, each [T].
 
     Raises:
         ValueError: the configuration measures distances to the task's goal, and there is none.
@@ -67,7 +67,7 @@ def seek_success(
 def social_nav_reward(
     track: HabitatTrack, task: TaskTrack, config: RewardConfig, *, variant: str = MAIN
 ) -> NDArray[np.float64]:
-    """Computes ``SocialNavReward`` at every step [T]."""
+    """Compute ``SocialNavReward`` at every step [T]."""
     if not len(track.geodesic):
         return np.zeros(0)
     main = variant != PAPER_RELEASE
@@ -95,12 +95,12 @@ def social_nav_reward(
 
 
 def total_reward(reward: NDArray[np.float64], success: NDArray[np.bool_], config: HabitatConfig) -> NDArray[np.float64]:
-    """Returns the learner's reward at every step [T]. Success that does not end the episode pays again in every later step."""
+    """Return the learner's reward at every step [T]. Success that does not end the episode pays again in every later step."""
     return config.slack_reward + reward + config.success_reward * success
 
 
 def _explores(robot_pos: NDArray[np.float32], has_found: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows in which the robot enters a cell of 0.5 m for the first time and had not found the human a step before."""
+    """Return rows in which the robot enters a cell of 0.5 m for the first time and had not found the human a step before."""
     looking = np.concatenate([[False], ~has_found[:-1]])  # at the reset the statistics have not been computed yet
     # rounded as Habitat does it, so that cells lie around multiples of 0.5 m
     cells = np.round(np.nan_to_num(robot_pos[:, [0, 2]]) * 2).astype(np.int64)

@@ -11,7 +11,7 @@ from h3data.metrics.habitat_settings import HabitatConfig, RewardConfig, StatsCo
 
 
 def config_of(info: Mapping[str, Any]) -> HabitatConfig:
-    """Returns the settings in ``info["habitat_config"]``; missing keys keep their defaults, unknown ones are ignored.
+    """Return the settings in ``info["habitat_config"]``; missing keys keep their defaults, unknown ones are ignored.
 
     The keys are Habitat's: ``{"social_nav_stats": {...}, "social_nav_reward": {...}, "nav_seek_success": {...},
     "slack_reward": x, "success_reward": x}``.

@@ -32,17 +32,17 @@ class HabitatTrack:
     """Shortest path from robot to human [m], inf if there is none, shape [T]."""
 
     def distance(self) -> NDArray[np.float32]:
-        """Returns the L2 distance in space [m], shape [T]."""
+        """Return the L2 distance in space [m], shape [T]."""
         gap = self.robot_pos - self.human_pos
         return np.sqrt(np.sum(gap * gap, axis=1))
 
     def facing(self) -> NDArray[np.float32]:
-        """Returns the cosine between forward and the direction to the human on the floor, NaN if they coincide; shape [T]."""
+        """Return the cosine between forward and the direction to the human on the floor, NaN if they coincide; shape [T]."""
         towards = (self.human_pos - self.robot_pos)[:, [0, 2]]
         return np.sum(unit_vectors(self.robot_transform[:, [0, 2], 0]) * unit_vectors(towards), axis=1)
 
     def found(self, config: StatsConfig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Returns the rows with the human in reach and those with the robot facing them, each [T]; both together: found."""
+        """Return the rows with the human in reach and those with the robot facing them, each [T]; both together: found."""
         with np.errstate(invalid="ignore"):
             in_reach = (self.geodesic >= config.min_dis_human) & (self.geodesic <= config.max_dis_human)
             return in_reach, self.facing() > config.robot_face_human_threshold
@@ -57,7 +57,7 @@ def social_nav_stats(
     backs_up: NDArray[np.bool_],
     yields: NDArray[np.bool_],
 ) -> dict[str, NDArray[np.float64]]:
-    """Computes every key of ``SocialNavStats``, in its spelling, at every step [T].
+    """Compute every key of ``SocialNavStats``, in its spelling, at every step [T].
 
     Args:
         track: The episode.
@@ -111,7 +111,7 @@ def _found_step(has_found: NDArray[np.bool_], steps: NDArray[np.int64]) -> NDArr
 def backup_and_yield(
     track: HabitatTrack, config: StatsConfig, *, dead_zone_m: float = 0.0
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Returns the rows in which the robot backs up, and those in which it yields, each [T].
+    """Return the rows in which the robot backs up, and those in which it yields, each [T].
 
     For a robot that stands or turns on the spot, float32 rounding decides between the two; with its exact transforms the
     rows are Habitat's. The sum of both does not depend on rounding. Motions of ``dead_zone_m`` per step or less do not
@@ -165,6 +165,6 @@ def _transform_points(matrices: NDArray[np.float32], points: NDArray[np.float32]
 
 
 def unit_vectors(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Returns vectors [T, 2] scaled to length 1 in their own precision; NaN for zero vectors."""
+    """Return vectors [T, 2] scaled to length 1 in their own precision; NaN for zero vectors."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.divide(vectors, np.sqrt(np.sum(vectors * vectors, axis=1, keepdims=True)), dtype=vectors.dtype)

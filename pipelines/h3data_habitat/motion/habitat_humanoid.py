@@ -200,7 +200,7 @@ class HabitatHumanoid:
         self._advance(left, self._frames_per_step, distance_multiplier, self._forward)
 
     def _advance(self, left: float, frames: int, distance_multiplier: float, going: Array) -> None:
-        """Plays up to ``frames`` frames, but no more than the way ``left`` [m] takes, and moves along ``going`` [3]."""
+        """Play up to ``frames`` frames, but no more than the way ``left`` [m] takes, and move along ``going`` [3]."""
         step = 0 if distance_multiplier == 0 else max(1, min(frames, int(left / self._way_per_frame)))
         frame = (self.frame + step) % len(self.motion.walk.joints)
         way = self._displacement[frame] - self._displacement[self.frame]
@@ -213,7 +213,7 @@ class HabitatHumanoid:
         self._show(frame)
 
     def _show(self, frame: int) -> None:
-        """Takes the pose of a frame of the walk."""
+        """Take the pose of a frame of the walk."""
         clip = self.motion.walk
         self.offset = _without_forward(_HALF_TURN @ clip.roots[frame])
         self.joints = np.asarray(clip.joints[frame], np.float64)
@@ -244,7 +244,7 @@ class HabitatHumanoid:
         self._advance(left, frames, distance_multiplier, _level(going))
 
     def with_gait(self, forward_m: float, turn_rad: float) -> None:
-        """Moves the base by ``forward_m`` [m] and turns it by ``turn_rad``, and finds the frame of the clip that fits.
+        """Move the base by ``forward_m`` [m] and turn it by ``turn_rad``, and find the frame of the clip that fits.
 
         habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The heading from which
         later walks turn stays that of the last walk, as it does there.
@@ -304,7 +304,7 @@ class HabitatHumanoid:
         self.offset = _ROOT_OF_REACH @ root
 
     def _with_rest(self, grid: ReachGrid) -> tuple[Array, Array]:
-        """The grid's poses and, behind them, the standing one: what lies nearer than the grid blends into it."""
+        """Return the grid's poses and, behind them, the standing one: what lies nearer than the grid blends into it."""
         first = _without_forward(_HALF_TURN @ self.motion.walk.roots[0])
         rest = np.linalg.inv(_ROOT_OF_REACH) @ first
         return np.concatenate([grid.joints, self.motion.stop_joints[None]]), np.concatenate([grid.roots, rest[None]])
@@ -321,13 +321,13 @@ class HabitatHumanoid:
 
 
 def reach_coordinates(base: ArrayLike, position: ArrayLike) -> Array:
-    """A world position [3] relative to a base frame [4, 4]: left, up, forward [m], as the reach grids have it."""
+    """Return a world position [3] relative to a base frame [4, 4]: left, up, forward [m], as the reach grids have it."""
     matrix = np.asarray(base, np.float64)
     return _REACH_OF_BASE[:3, :3] @ matrix[:3, :3].T @ (np.asarray(position, np.float64) - matrix[:3, 3])
 
 
 def _corners(place: Array, grid: ReachGrid) -> tuple[NDArray[np.intp], Array]:
-    """Rows [8] of the poses around a point and their weights [8]; row -1 is the standing pose."""
+    """Return rows [8] of the poses around a point and their weights [8]; row -1 is the standing pose."""
     low = np.array([grid.low[0], grid.low[1], 0.0])  # forward starts at the body, not at the grid
     place = np.clip(place, low, grid.high)
     counts = np.array(grid.bins)
@@ -355,12 +355,12 @@ def _without_forward(matrix: Array) -> Array:
 
 
 def _bearing(direction: Array) -> float:
-    """Angle [degrees] of a direction on the floor, from x towards z."""
+    """Return the angle [degrees] of a direction on the floor, from x towards z."""
     return float(np.degrees(np.arctan2(direction[2], direction[0])))
 
 
 def _level(degrees: float) -> Array:
-    """The unit vector of a `_bearing`."""
+    """Return the unit vector of a `_bearing`."""
     angle = np.radians(degrees)
     return np.array([np.cos(angle), 0.0, np.sin(angle)])
 

@@ -46,12 +46,12 @@ def read_habitat_motion(path: str | Path) -> HabitatMotion:
 
 
 def read_habitat_sequence(path: str | Path) -> HabitatClip:
-    """A recorded sequence (``pose_motion``), from a pickle or from the ``.npz`` of habitat-lab's AMASS converter."""
+    """Return a recorded sequence (``pose_motion``), from a pickle or from the ``.npz`` of habitat-lab's AMASS converter."""
     return _clip(_part(_content(Path(path)), "pose_motion", str(path)), "pose_motion", str(path))
 
 
 def motion_parts(path: str | Path) -> tuple[str, ...]:
-    """Names of the parts in a motion file: ``walk_motion``, ``stop_pose``, ``pose_motion``, ..."""
+    """Return names of the parts in a motion file: ``walk_motion``, ``stop_pose``, ``pose_motion``, ..."""
     return tuple(map(str, _content(Path(path))))
 
 
@@ -90,7 +90,7 @@ def _part(content: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any
 
 
 def _plain(value: Any) -> Any:
-    """The object in an array without axes, as npz files hold dicts."""
+    """Return the object in an array without axes, as npz files hold dicts."""
     return value.item() if isinstance(value, np.ndarray) and value.dtype.hasobject and value.ndim == 0 else value
 
 
@@ -134,7 +134,7 @@ def _grid(part: Mapping[str, Any], name: str, where: str) -> ReachGrid:
 
 
 def _floats(part: Mapping[str, Any], key: str, name: str, where: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An array of finite numbers, brought into ``shape`` (-1: any length but 0)."""
+    """Return an array of finite numbers, brought into ``shape`` (-1: any length but 0)."""
     array = part.get(key)
     try:
         numbers = np.asarray(array, np.float64)

@@ -22,7 +22,7 @@ def _fits(start: bytes, names: Sequence[str]) -> bool:
 
 
 def _read(path: Path, options: ReadOptions) -> Motion:
-    """A Habitat sequence, or the walk of its motion file."""
+    """Return a Habitat sequence, or the walk of its motion file."""
     if "pose_motion" in motion_parts(path):
         clip = read_habitat_sequence(path)
     else:
@@ -33,7 +33,7 @@ def _read(path: Path, options: ReadOptions) -> Motion:
 
 
 def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Motion:
-    """A clip of Habitat's humanoids as motion; its root frames have y up and the axes of our body frame.
+    """Return a clip of Habitat's humanoids as motion; its root frames have y up and the axes of our body frame.
 
     Raises:
         FormatError: a root is no rotation.

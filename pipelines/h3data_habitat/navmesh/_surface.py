@@ -49,7 +49,7 @@ class Surface(NamedTuple):
     triangle: NDArray[np.float64]
     """Ground under each polygon, shape [T, 3, 3] [m]."""
     climb: NDArray[np.float64]
-    """A polygon straight above or below by less than this counts as touched, shape [1] [m]."""
+    """Largest vertical distance from a point to a polygon that it counts as touching, shape [1] [m]."""
     bucket_first: NDArray[np.int32]
     """Polygons that touch bucket (i, j) are ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``,
     shape [bx, bz]."""
@@ -79,7 +79,7 @@ def _cross(ax: float, az: float, bx: float, bz: float) -> float:
 
 @kernel(error_model="numpy")
 def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
-    """Returns whether (x, z) is in a polygon, its border included."""
+    """Return whether (x, z) is in a polygon, its border included."""
     first, last = surface.start[polygon], surface.start[polygon + 1]
     ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
     for s in range(first, last):
@@ -92,7 +92,7 @@ def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
 
 @kernel(error_model="numpy")
 def height(surface: Surface, polygon: int, x: float, z: float) -> float:
-    """Height [m] of the ground of a polygon at (x, z), of the triangle that contains it best."""
+    """Return the height [m] of the ground of a polygon at (x, z), of the triangle that contains it best."""
     best = -np.inf
     y = surface.corner[surface.start[polygon], 1]
     triangle = surface.triangle
@@ -114,7 +114,7 @@ def height(surface: Surface, polygon: int, x: float, z: float) -> float:
 
 @kernel(error_model="numpy")
 def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
-    """Returns the position, 0 to 1, of the point on the segment a-b that is nearest to (x, z)."""
+    """Return the position, 0 to 1, of the point on the segment a-b that is nearest to (x, z)."""
     dx, dz = bx - ax, bz - az
     square = dx * dx + dz * dz
     if square <= 0.0:
@@ -140,7 +140,7 @@ def _nearest_edge(corner: NDArray, first: int, last: int, x: float, z: float) ->
 
 @kernel(error_model="numpy")
 def _outside(value: float, low: float, high: float) -> float:
-    """Returns the distance of a number from an interval, 0 inside."""
+    """Return the distance of a number from an interval, 0 inside."""
     return max(low - value, value - high, 0.0)
 
 
@@ -301,7 +301,7 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
 def try_step(
     surface: Surface, x: float, y: float, z: float, tx: float, ty: float, tz: float, sliding: bool
 ) -> tuple[float, float, float]:
-    """Returns where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
+    """Return where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     q = nearest(surface, tx, ty, tz, -1)[0]
     # as in habitat-sim, also where the goal is off the navmesh: the step does not happen
@@ -325,7 +325,7 @@ def try_step(
 
 @kernel(error_model="numpy")
 def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> tuple[float, NDArray]:
-    """Distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3].
+    """Return the distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3].
 
     They are ``radius`` and NaN if there is none within ``radius``. This is Detour's findDistanceToWall.
     """
@@ -372,7 +372,7 @@ def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> i
 
 @kernel(error_model="numpy")
 def island_map(surface: Surface, x0: float, z0: float, step: float, y: float, delta: float, out: NDArray) -> None:
-    """Fills int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1: none."""
+    """Fill int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1: none."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             p = navigable(surface, x0 + j * step, y, z0 + i * step, delta)

@@ -101,7 +101,7 @@ def with_graph(surface: Surface) -> Surface:
 
 
 def _fan(surface: Surface, s: int, following: NDArray, previous: NDArray, polygon: NDArray) -> list[int]:
-    """The corners around one vertex, from corner s, whose edge is a wall, to the one whose edge before it is a wall."""
+    """Return the corners around one vertex, from corner s, whose edge is a wall, to the one whose edge before it is a wall."""
     fan = [s]
     while True:
         before = previous[fan[-1]]
@@ -119,7 +119,7 @@ def _fan(surface: Surface, s: int, following: NDArray, previous: NDArray, polygo
 
 
 def _buckets(low: NDArray, high: NDArray) -> dict[str, NDArray]:
-    """A grid of floor squares with the polygons whose boxes touch each."""
+    """Return a grid of floor squares with the polygons whose boxes touch each."""
     origin = low[:, ::2].min(0)
     extent = high[:, ::2].max(0) - origin
     # a mesh of many kilometres must not make a grid that fills the memory

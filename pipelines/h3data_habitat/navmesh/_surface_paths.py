@@ -11,12 +11,12 @@ from h3data.kernels import kernel
 from h3data_habitat.navmesh._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
 
 STARTS_MAX = 64
-"""Polygons that may meet in one point."""
+"""Number of polygons that may meet in one point."""
 
 
 @kernel()
 def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -> bool:
-    """Returns whether direction u lies between the right and the left border of a cone (less than half a turn)."""
+    """Return whether direction u lies between the right and the left border of a cone (less than half a turn)."""
     eps = ANGLE_EPS * (abs(ux) + abs(uz))
     right = _cross(rx, rz, ux, uz) >= -eps * (abs(rx) + abs(rz))
     return right and _cross(ux, uz, lx, lz) >= -eps * (abs(lx) + abs(lz))
@@ -24,7 +24,7 @@ def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -
 
 @kernel()
 def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray) -> int:
-    """Counts the polygons that meet in (x, z), from one of them through edges that touch the point; fills their indices."""
+    """Count the polygons that meet in (x, z), from one of them through edges that touch the point; fill their indices."""
     found[0] = polygon
     count, head = 1, 0
     while head < count:
@@ -52,7 +52,7 @@ def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray)
 
 @kernel()
 def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: float, tz: float, seen: NDArray) -> bool:
-    """Marks the nodes that are seen from (x, z), bool [n], and says whether (tx, tz) in polygon ``target`` is.
+    """Mark the nodes that are seen from (x, z), bool [n], and say whether (tx, tz) in polygon ``target`` is.
 
     Triangular expansion (Bungiu et al. 2014) on convex polygons: a cone of view is narrowed by every edge it goes through.
     """
@@ -114,7 +114,7 @@ def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: fl
 
 @kernel()
 def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
-    """Returns whether a taut string from (x, z) can bend at a node: both walls beside it lie on one side of the string."""
+    """Return whether a taut string from (x, z) can bend at a node: both walls beside it lie on one side of the string."""
     vx, vz = surface.node[node, 0], surface.node[node, 2]
     side = surface.node_side[node]
     ux, uz = vx - x, vz - z
@@ -154,7 +154,7 @@ def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: int) -> tuple[float, NDArray]:
-    """Length [m] in space of the shortest path between two points [3], and the path's points [k, 3].
+    """Return the length [m] in space of the shortest path between two points [3], and the path's points [k, 3].
 
     The points lie in polygons ``first`` and ``last``. Returns infinity and no points if there is no path.
     """

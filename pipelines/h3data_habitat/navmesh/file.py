@@ -72,7 +72,7 @@ class _Cursor:
 
 
 def read_navmesh(path: str | Path) -> NavMesh:
-    """The navmesh in a Habitat ``.navmesh`` file (versions 1 and 2, one Detour tile)."""
+    """Return the navmesh in a Habitat ``.navmesh`` file (versions 1 and 2, one Detour tile)."""
     path = Path(path)
     try:
         size = path.stat().st_size
@@ -186,7 +186,7 @@ def _read_tile(cursor: _Cursor, header: np.void, settings: NavMeshSettings | Non
 
 
 def _finite(cursor: _Cursor, count: int, what: str) -> NDArray[np.float32]:
-    """Points [count, 3], refused unless all are finite and within reach."""
+    """Return points [count, 3], refused unless all are finite and within reach."""
     at = cursor.offset
     if count > len(cursor.data):  # before the product below can grow
         raise cursor.error(f"Expected {count} {what}, but the file has {len(cursor.data)} bytes", at)
@@ -273,7 +273,7 @@ def _read_details(
 
 
 def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
-    """Writes a ``.navmesh`` of version 2 with one Detour tile, which habitat-sim loads.
+    """Write a ``.navmesh`` of version 2 with one Detour tile, which habitat-sim loads.
 
     Raises:
         InputError: The navmesh is too large for one tile.
@@ -282,7 +282,7 @@ def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
 
 
 def navmesh_bytes(navmesh: NavMesh) -> bytes:
-    """Content of a ``.navmesh`` file; raises as `write_navmesh`.
+    """Return the content of a ``.navmesh`` file; raises as `write_navmesh`.
 
     Links and the search tree are left out: Detour builds the links itself and works without the tree.
     """

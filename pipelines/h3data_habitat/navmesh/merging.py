@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
 CORNERS_MAX = 6
-"""Corners of a Detour polygon (``DT_VERTS_PER_POLYGON``)."""
+"""Number of corners of a Detour polygon (``DT_VERTS_PER_POLYGON``)."""
 OUTLINE_M = 0.03
 """Distance by which outlines may move: a corner of an obstacle is rounded by a dozen points, and Recast's voxels are 0.05 m
 wide."""
@@ -22,7 +22,7 @@ _STRAIGHT = 1e-9
 
 
 def plain_outline(area: MultiPolygon) -> MultiPolygon:
-    """The area with fewer points on its outlines, each within `OUTLINE_M` of them; parts and their order stay."""
+    """Return the area with fewer points on its outlines, each within `OUTLINE_M` of them; parts and their order stay."""
     parts = []
     for part in area.geoms:
         plain = part.simplify(OUTLINE_M, preserve_topology=True)
@@ -73,7 +73,7 @@ def merged_polygons(points: NDArray[np.float64], triangles: NDArray[np.int32]) -
 
 
 def _joined(one: list[int], other: list[int], a: int, b: int) -> list[int]:
-    """The outline of two polygons that share the edge a-b: one runs it from a to b, the other from b to a."""
+    """Return the outline of two polygons that share the edge a-b: one runs it from a to b, the other from b to a."""
     i, j = one.index(b), other.index(a)
     return (one[i:] + one[:i])[:-1] + (other[j:] + other[:j])[:-1]
 

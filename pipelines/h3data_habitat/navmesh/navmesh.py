@@ -129,7 +129,7 @@ class NavMesh:
         return np.bincount(self.islands[self.enabled], self.polygon_areas[self.enabled]).astype(np.float64)
 
     def island_polygons(self, island: int) -> NDArray[np.int64]:
-        """Indices of the polygons of an island."""
+        """Return indices of the polygons of an island."""
         self._check(island)
         return np.flatnonzero(self.islands == island)
 
@@ -141,7 +141,7 @@ class NavMesh:
         return self.detail_triangles[np.repeat(wanted, np.diff(self.detail_start))]
 
     def corners(self, polygon: int) -> NDArray[np.float32]:
-        """Corners [k, 3] of a polygon [m]."""
+        """Return corners [k, 3] of a polygon [m]."""
         return self.vertices[self.polygon_vertices[self.polygon_start[polygon] : self.polygon_start[polygon + 1]]]
 
     def _check(self, island: int) -> None:
@@ -158,7 +158,9 @@ class NavMesh:
 
 
 def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell_m: float = 0.05) -> FreeSpace:
-    """The free space of one floor of a navmesh; its polygon is the union of the navmesh's, so shortest paths are exact on it.
+    """Return the free space of one floor of a navmesh.
+
+    Its polygon is the union of the navmesh's, so shortest paths are exact on it.
 
     Without ``island``: the largest island with the others at its height (within the agent's climb) that do not lie above
     or below it. ``sdf`` is the signed distance to the border of the polygon *plus the radius*: a navmesh knows where the
@@ -282,7 +284,7 @@ def navmesh_from_free_space(
 
 
 def _slopes_apart(polygon: Polygon, heights: NDArray[np.float64]) -> list[Polygon]:
-    """A polygon cut where level floor and stairs meet; they share the vertices there."""
+    """Return a polygon cut where level floor and stairs meet; they share the vertices there."""
     # ramps between floors are planes of their own: a triangle across their foot would cut through the air
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     if not flights:

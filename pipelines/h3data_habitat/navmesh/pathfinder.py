@@ -86,7 +86,7 @@ class PathFinder:
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def find_path(self, path: ShortestPath | MultiGoalShortestPath) -> bool:
-        """Fills ``points`` and ``geodesic_distance`` of the path; False, with inf and no points, if there is none."""
+        """Fill ``points`` and ``geodesic_distance`` of the path; False, with inf and no points, if there is none."""
         several = isinstance(path, MultiGoalShortestPath)
         ends = _points(path.requested_ends) if several else _point(path.requested_end)[None]
         found = self._paths(path.requested_start, ends)
@@ -103,7 +103,10 @@ class PathFinder:
         return self._paths(start, _point(end)[None])[0][1]
 
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
-        """Length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3]; inf: no path."""
+        """Return the length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3].
+
+        The length is infinite if there is no path.
+        """
         ends = np.asarray(end, np.float64)
         # the usual question, one end on a level floor, needs no polygons
         if self.free_space is not None and ends.ndim == 1:
@@ -140,18 +143,18 @@ class PathFinder:
 
     # --- where one may be -----------------------------------------------------------------------------------------------
     def snap_point(self, point: ArrayLike, island_index: int = _ANY) -> NDArray[np.float64]:
-        """The nearest point [3] of the navmesh (or of one island), NaN if no polygon is within (2, 4, 2) m."""
+        """Return the nearest point [3] of the navmesh (or of one island), NaN if no polygon is within (2, 4, 2) m."""
         return np.array(self._nearest(point, self._island(island_index))[1:])
 
     def is_navigable(self, point: ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Returns whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
+        """Return whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
         x, y, z = _point(point)
         return navigable(self._surface, x, y, z, float(max_y_delta)) >= 0
 
     def get_random_navigable_point(
         self, rng: np.random.Generator, *, island_index: int = _ANY, n: int | None = None
     ) -> NDArray[np.float64]:
-        """A random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
+        """Return a random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
         triangles, summed = self._sampling(self._island(island_index))
         u = rng.random((1 if n is None else n, 3))
         # clipped, because rounding may put a number beyond the last sum
@@ -170,7 +173,10 @@ class PathFinder:
         max_tries: int = 100,
         island_index: int = _ANY,
     ) -> NDArray[np.float64]:
-        """A random point [3] on the floor within ``radius`` [m] of a point, uniform there; NaN if no try fell into it."""
+        """Return a random point [3] on the floor within ``radius`` [m] of a point, uniform there.
+
+        The point is NaN if no try fell into this radius.
+        """
         centre = _point(circle_center)
         points = self.get_random_navigable_point(rng, island_index=island_index, n=max_tries)
         # all tries at once: as many random numbers whichever of them fits
@@ -179,16 +185,16 @@ class PathFinder:
 
     # --- steps ----------------------------------------------------------------------------------------------------------
     def try_step(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Returns where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
+        """Return where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), True))
 
     def try_step_no_sliding(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Returns where a step ends [3] that stops at the first wall."""
+        """Return where a step ends [3] that stops at the first wall."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), False))
 
     # --- walls ----------------------------------------------------------------------------------------------------------
     def closest_obstacle_surface_point(self, point: ArrayLike, max_search_radius: float = 2.0) -> HitRecord:
-        """The border of the navmesh nearest to a point [3], as reached along the floor."""
+        """Return the border of the navmesh nearest to a point [3], as reached along the floor."""
         polygon, x, _, z = self._nearest(point)
         nothing = np.full(3, np.nan)
         if polygon < 0:
@@ -200,7 +206,7 @@ class PathFinder:
         return HitRecord(hit_pos=hit, hit_normal=normal, hit_dist=float(distance))
 
     def distance_to_closest_obstacle(self, point: ArrayLike, max_search_radius: float = 2.0) -> float:
-        """Distance [m] on the floor from a point [3] to the border of the navmesh, at most ``max_search_radius``."""
+        """Return the distance [m] on the floor from a point [3] to the border of the navmesh, at most ``max_search_radius``."""
         return self.closest_obstacle_surface_point(point, max_search_radius).hit_dist
 
     # --- islands, areas, maps -------------------------------------------------------------------------------------------
@@ -220,7 +226,7 @@ class PathFinder:
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:
-        """Area of an island [m2], of all for -1."""
+        """Return the area of an island [m2], of all for -1."""
         k = self._island(island_index)
         return self.navigable_area if k < 0 else float(self.navmesh.island_areas[k])
 
@@ -230,7 +236,9 @@ class PathFinder:
         return int(self._surface.island[polygon]) if polygon >= 0 else -1
 
     def island_radius(self, point: ArrayLike | int) -> float:
-        """Largest distance [m] of a corner of an island from the mean of its corners, by point [3] or index; 0: no island.
+        """Return the largest distance [m] of a corner of an island from the mean of its corners, by point [3] or index.
+
+        The distance is 0 if there is no such island.
 
         Corners count once per polygon that they belong to, as in habitat-sim.
         """
@@ -268,7 +276,7 @@ class PathFinder:
         return out
 
     def get_height(self, point: ArrayLike) -> float:
-        """Height of the floor [m] nearest to a point [3]; NaN off the navmesh."""
+        """Return the height of the floor [m] nearest to a point [3]; NaN off the navmesh."""
         polygon, x, _, z = self._nearest(point)
         return float(height(self._surface, polygon, x, z)) if polygon >= 0 else float("nan")
 
@@ -285,7 +293,7 @@ class PathFinder:
         return index
 
     def _sampling(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Triangles [M, 3, 3] to sample from and their summed areas [M]."""
+        """Return triangles [M, 3, 3] to sample from and their summed areas [M]."""
         known = self._sampling_cache
         if island not in known:
             t = self.navmesh.triangles(island=None if island < 0 else island).astype(np.float64)

@@ -76,7 +76,7 @@ def slide_bases(
     root_height_m: float,
     rules: tuple[bool, bool, bool],
 ) -> None:
-    """Moves robot bases in W worlds by one step as Habitat does, in place; an entry of the group ``h3data.slides``.
+    """Move robot bases in W worlds by one step as Habitat does, in place; an entry of the group ``h3data.slides``.
 
     Args:
         free: the free floor, of one level.

@@ -39,7 +39,7 @@ class Link:
 
 
 def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
-    """The kinematic tree of a URDF file and those of its links that are seen or collide.
+    """Return the kinematic tree of a URDF file and those of its links that are seen or collide.
 
     Raises:
         FormatError, SceneError: the file, or a mesh that it names, cannot be used.
@@ -97,14 +97,14 @@ def pose_of_links(
 
 
 def default_positions(robot: Robot) -> NDArray[np.float64]:
-    """All joints at 0, spherical ones unturned, shape [J]."""
+    """Return all joints at 0, spherical ones unturned, shape [J]."""
     positions = np.zeros(len(robot.joint_names))
     positions[robot.columns[robot.kinds == _BALL] + 3] = 1.0
     return positions
 
 
 def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
-    """Columns of the joint positions in the order in which habitat-sim numbers them, shape [J].
+    """Return columns of the joint positions in the order in which habitat-sim numbers them, shape [J].
 
     ``urdf_order`` is that of the file; else ("tree_traversal") depth first, children by the name of their link.
     """
@@ -170,7 +170,7 @@ def _values(given: Any, where: Path) -> list[float]:
 
 
 def receptacles_by_link(user_defined: Mapping[str, Any], *, where: Path) -> dict[str, dict[str, Any]]:
-    """Entries of ``user_defined`` that name the link on which they lie (``parent_link``), by link."""
+    """Return entries of ``user_defined`` that name the link on which they lie (``parent_link``), by link."""
     found: dict[str, dict[str, Any]] = {}
     for key in user_defined:
         if key.startswith("receptacle_"):
@@ -181,7 +181,7 @@ def receptacles_by_link(user_defined: Mapping[str, Any], *, where: Path) -> dict
 
 # --- turning a link so that its +Y points up --------------------------------------------------------------------------
 def _upright(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation by right angles after which +Y of a link frame is nearest to the +Y of ``rotation``'s target."""
+    """Return the rotation by right angles after which +Y of a link frame is nearest to the +Y of ``rotation``'s target."""
     # right angles only: boxes along the axes stay boxes along the axes
     up = _nearest(rotation.T @ [0, 1, 0], _AXES)
     if up[1] > 0:
@@ -195,7 +195,7 @@ def _nearest(direction: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArr
 
 
 def _textured(link: UrdfLink) -> Mesh | None:
-    """The looks of a link with the textures of its files, in its frame; None if not all of them are files."""
+    """Return the looks of a link with the textures of its files, in its frame; None if not all of them are files."""
     parts = link.visuals
     if not parts or any(p.geometry.file is None for p in parts):
         return None
@@ -214,7 +214,7 @@ def _moved(
     shift: NDArray[np.floating] | Sequence[float] = (0, 0, 0),
     scale: Sequence[float] = (1, 1, 1),
 ) -> Mesh:
-    """The mesh scaled along its own axes, turned, and shifted."""
+    """Return the mesh scaled along its own axes, turned, and shifted."""
     stretch = np.asarray(scale, np.float64)
     normals = None
     if mesh.normals is not None:

@@ -13,13 +13,13 @@ from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Receptacle, Shape
 
 CYLINDER_SIDES = 24
-"""Sides of the prism around a cylinder (0.9 % of the radius too large at its corners)."""
+"""Number of sides of the prism around a cylinder (0.9 % of the radius too large at its corners)."""
 _BALL_RINGS = 5
 _GREY = 160
 
 
 def part_mesh(shape: Shape) -> Mesh:
-    """The surface of a convex part as one closed mesh in the asset's frame, counter-clockwise from outside."""
+    """Return the surface of a convex part as one closed mesh in the asset's frame, counter-clockwise from outside."""
     from scipy.spatial import ConvexHull, QhullError
 
     points = part_points(shape)
@@ -43,7 +43,7 @@ def part_mesh(shape: Shape) -> Mesh:
 
 
 def part_points(shape: Shape) -> NDArray[np.float64]:
-    """Points [N, 3] in the asset's frame whose hull is the part; round parts are enclosed by a polyhedron."""
+    """Return points [N, 3] in the asset's frame whose hull is the part; round parts are enclosed by a polyhedron."""
     if isinstance(shape, Hull):
         return np.asarray(shape.points, np.float64)
     if isinstance(shape, Capsule):
@@ -61,7 +61,7 @@ def part_points(shape: Shape) -> NDArray[np.float64]:
 
 
 def scaled_asset(asset: Asset, scale: NDArray[np.float64]) -> Asset:
-    """The asset in the size of an instance: its mesh, parts and receptacles scaled per axis [3]; itself for 1.
+    """Return the asset in the size of an instance: its mesh, parts and receptacles scaled per axis [3]; itself for 1.
 
     habitat-lab does not scale the receptacles of rigid objects, and Bullet does not mirror collision parts.
     """
@@ -107,7 +107,7 @@ def _ring(sides: int) -> NDArray[np.float64]:
 
 
 def _ball() -> NDArray[np.float64]:
-    """Points [N, 3] whose hull encloses the unit ball."""
+    """Return points [N, 3] whose hull encloses the unit ball."""
     from scipy.spatial import ConvexHull
 
     polar = np.arange(1, 2 * _BALL_RINGS) * (np.pi / (2 * _BALL_RINGS))

@@ -19,7 +19,7 @@ _WELD_M = 1e-5
 
 
 def box_shape(points: NDArray[np.floating]) -> Box:
-    """The box along the axes around points [N, 3]."""
+    """Return the box along the axes around points [N, 3]."""
     lo, hi = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
     return Box(
         pose=np.concatenate([(lo + hi) / 2, IDENTITY_QUAT]),
@@ -28,7 +28,7 @@ def box_shape(points: NDArray[np.floating]) -> Box:
 
 
 def hull_shape(points: NDArray[np.floating]) -> Shape:
-    """The convex hull of points [N, 3] (hollows are filled); a box if they are flat."""
+    """Return the convex hull of points [N, 3] (hollows are filled); a box if they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -54,7 +54,7 @@ def hull_shapes(parts: Iterable[Mesh]) -> tuple[Shape, ...]:
 
 
 def _pieces(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> list[NDArray[np.floating]]:
-    """Points of each set of triangles that hang together by corners at the same place."""
+    """Return points of each set of triangles that hang together by corners at the same place."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

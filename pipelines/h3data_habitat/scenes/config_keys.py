@@ -234,7 +234,7 @@ class KeyNotes:
         """``object_config.colour``: neither read nor known."""
 
     def note(self, kind: ConfigKind, content: Mapping[str, Any]) -> None:
-        """Collects the keys of a file that are ignored or unknown."""
+        """Collect the keys of a file that are ignored or unknown."""
         for key in content:
             if key in IGNORED[kind]:
                 self.ignored.add(f"{kind}.{key}")
@@ -243,7 +243,7 @@ class KeyNotes:
 
 
 def ignored_table() -> str:
-    """The Markdown table of `IGNORED`: one row per reason."""
+    """Return the Markdown table of `IGNORED`: one row per reason."""
     rows: dict[str, dict[str, list[str]]] = {}
     for kind, keys in IGNORED.items():
         for key, reason in keys.items():

@@ -12,7 +12,7 @@ from h3data_habitat.json_files import read_json
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """The content of a JSON file that must hold an object."""
+    """Return the content of a JSON file that must hold an object."""
     content = read_json(path)
     if not isinstance(content, dict):
         raise FormatError(f"Expected a JSON object, got {type(content).__name__}: {path}", code="H3-HABITAT-113")
@@ -20,7 +20,7 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 def mapping(attributes: Mapping[str, Any], key: str, *, where: Path) -> dict[str, Any]:
-    """The JSON object under ``key``; empty if there is none."""
+    """Return the JSON object under ``key``; empty if there is none."""
     value = attributes.get(key)
     if value is not None and not isinstance(value, dict):
         raise _unexpected("an object", key, value, where)
@@ -28,7 +28,7 @@ def mapping(attributes: Mapping[str, Any], key: str, *, where: Path) -> dict[str
 
 
 def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dict[str, Any]]:
-    """The list of JSON objects under ``key``; empty if there is none."""
+    """Return the list of JSON objects under ``key``; empty if there is none."""
     value = _list(attributes, key)
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise _unexpected("a list of objects", key, value, where)
@@ -36,7 +36,7 @@ def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dic
 
 
 def texts(attributes: Mapping[str, Any], key: str, *, where: Path) -> tuple[str, ...]:
-    """The list of texts under ``key``; empty if there is none."""
+    """Return the list of texts under ``key``; empty if there is none."""
     value = _list(attributes, key)
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise _unexpected("a list of texts", key, value, where)
@@ -44,7 +44,7 @@ def texts(attributes: Mapping[str, Any], key: str, *, where: Path) -> tuple[str,
 
 
 def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
-    """The text under ``key``, if there is any."""
+    """Return the text under ``key``, if there is any."""
     value = attributes.get(key)
     if value is not None and not isinstance(value, str):
         raise _unexpected("a text", key, value, where)
@@ -52,7 +52,7 @@ def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
 
 
 def flag(attributes: Mapping[str, Any], key: str, default: bool, *, where: Path) -> bool:
-    """Returns whether ``key`` is true."""
+    """Return whether ``key`` is true."""
     value = attributes.get(key, default)
     if not isinstance(value, bool):
         raise _unexpected("true or false", key, value, where)
@@ -60,7 +60,7 @@ def flag(attributes: Mapping[str, Any], key: str, default: bool, *, where: Path)
 
 
 def number(attributes: Mapping[str, Any], key: str, default: float, *, where: Path) -> float:
-    """The finite number under ``key``."""
+    """Return the finite number under ``key``."""
     value = attributes.get(key, default)
     if not _is_number(value):
         raise _unexpected("a finite number", key, value, where)
@@ -68,7 +68,7 @@ def number(attributes: Mapping[str, Any], key: str, default: float, *, where: Pa
 
 
 def whole_number(attributes: Mapping[str, Any], key: str, default: int, *, where: Path) -> int:
-    """The whole number from 0 to 2^31 - 1 under ``key``."""
+    """Return the whole number from 0 to 2^31 - 1 under ``key``."""
     value = number(attributes, key, default, where=where)
     if value != int(value) or not 0 <= value < 2**31:
         raise _unexpected("a whole number from 0 to 2147483647", key, attributes.get(key), where)
@@ -76,7 +76,7 @@ def whole_number(attributes: Mapping[str, Any], key: str, default: int, *, where
 
 
 def numbers(attributes: Mapping[str, Any], key: str, default: Sequence[float], *, where: Path) -> tuple[float, ...]:
-    """The finite numbers under ``key``, as many as ``default`` has."""
+    """Return the finite numbers under ``key``, as many as ``default`` has."""
     value = attributes.get(key)
     if value is None:
         return tuple(default)
@@ -86,7 +86,7 @@ def numbers(attributes: Mapping[str, Any], key: str, default: Sequence[float], *
 
 
 def points(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[tuple[float, float, float]]:
-    """The list of points ``[x, y, z]`` under ``key``; empty if there is none."""
+    """Return the list of points ``[x, y, z]`` under ``key``; empty if there is none."""
     value = _list(attributes, key)
     fine = isinstance(value, list) and all(
         isinstance(p, list) and len(p) == 3 and all(_is_number(v) for v in p) for p in value
@@ -97,7 +97,7 @@ def points(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[tupl
 
 
 def _list(attributes: Mapping[str, Any], key: str) -> Any:
-    """Returns the list under ``key``; an empty list if there is none."""
+    """Return the list under ``key``; an empty list if there is none."""
     value = attributes.get(key)
     return [] if value is None else value
 

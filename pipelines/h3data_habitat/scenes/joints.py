@@ -27,7 +27,9 @@ def articulation_of(
     instances: Mapping[str, Instance],
     assets: Mapping[str, Asset],
 ) -> tuple[Articulation | None, list[str]]:
-    """The moving parts of an articulated object, one for each joint that turns or slides, and warnings; None: nothing moves.
+    """Return the moving parts of an articulated object, one for each joint that turns or slides, and warnings.
+
+    The result is None if nothing moves.
 
     Joints without a range, balls and followers by mimic are held where they are. What a closed drawer contains is out of
     reach, and so is what lies behind a closed door.
@@ -101,7 +103,7 @@ def articulation_of(
 
 
 def _movers(robot: Robot, joints: Mapping[int, Joint]) -> list[int]:
-    """The link with a joint that moves each link, itself or the nearest above it; -1: none."""
+    """Return the link with a joint that moves each link, itself or the nearest above it; -1: none."""
     mover: list[int] = []
     for k, link in enumerate(robot.links):  # parents come first
         mover.append(k if k in joints else mover[link.parent] if link.parent >= 0 else -1)
@@ -116,7 +118,7 @@ def _enclosed(
     back: Array,
     body: Array,
 ) -> tuple[str, ...]:
-    """Receptacles that a part shuts off: those of a drawer itself, and those behind a door."""
+    """Return receptacles that a part shuts off: those of a drawer itself, and those behind a door."""
     if joint.kind == "prismatic":
         return tuple(f"{i.name}|{r.name}" for i in own for r in assets[i.asset].receptacles)
     if joint.rest != joint.closed or not own:  # an open door does not say what is behind it

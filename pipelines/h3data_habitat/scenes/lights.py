@@ -15,7 +15,7 @@ from h3data_habitat.scenes.config_values import mapping, number, numbers, text
 
 
 def read_lights(content: Mapping[str, Any], keys: KeyNotes, *, where: Path) -> tuple[LightSource, ...]:
-    """The lights of a ``*.lighting_config.json``, in the order of the file (spec/habitat.md 6.3).
+    """Return the lights of a ``*.lighting_config.json``, in the order of the file (spec/habitat.md 6.3).
 
     Intensities are multiplied by the file's ``positive_intensity_scale`` or ``negative_intensity_scale`` by their sign.
     Colours are as the file gives them.

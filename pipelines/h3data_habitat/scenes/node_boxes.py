@@ -76,5 +76,5 @@ def _box_around(points: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The 8 corners [8, 3] of a box [2, 3]."""
+    """Return the 8 corners [8, 3] of a box [2, 3]."""
     return np.stack(np.meshgrid(*box.T, indexing="ij"), -1).reshape(8, 3)

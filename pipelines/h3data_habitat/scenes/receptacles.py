@@ -33,7 +33,7 @@ def read_receptacles(
     keys: KeyNotes,
     where: Path,
 ) -> tuple[tuple[Receptacle, ...], list[str]]:
-    """Receptacles of one template in its asset's frame (+Y up), and warnings about those that were left out.
+    """Return receptacles of one template in its asset's frame (+Y up), and warnings about those that were left out.
 
     ``frame`` [3, 3] turns the asset file's frame to ours, ``find`` looks for the file of a mesh. As in habitat-lab
     (``receptacle.py``) entries are written in the file's frame, except meshes of a stage, which are in the world's. A

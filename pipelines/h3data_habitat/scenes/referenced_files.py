@@ -31,7 +31,7 @@ class ReferencedFiles:
         """Places at which each missing file was looked for."""
 
     def find(self, name: str, folder: Path) -> Path | None:
-        """The file that a config in ``folder`` means; None if it is nowhere.
+        """Return the file that a config in ``folder`` means; None if it is nowhere.
 
         Raises:
             SceneError: it lies outside the folders that may be reached.
@@ -59,7 +59,7 @@ class ReferencedFiles:
 
 
 def trusted_folders(config: Path) -> tuple[Path, ...]:
-    """The folder of the dataset to which a config belongs, and the nearest folder ``data`` around it, if there is one.
+    """Return the folder of the dataset to which a config belongs, and the nearest folder ``data`` around it, if there is one.
 
     The dataset's folder is the nearest one above with a ``*.scene_dataset_config.json``, else the one that holds the
     config's folder (YCB: ``configs`` beside ``meshes``). Links are not followed: what is linked into a dataset is in it.

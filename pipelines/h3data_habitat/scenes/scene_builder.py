@@ -43,12 +43,12 @@ class SceneBuilder:
     _counts: dict[str, int] = field(default_factory=dict)
 
     def warn(self, warning: str) -> None:
-        """Adds a warning unless it was given before."""
+        """Add a warning unless it was given before."""
         if warning not in self.templates.warnings:
             self.templates.warnings.append(warning)
 
     def find(self, dataset: SceneDataset, section: Section, name: str) -> Template | None:
-        """The template that a scene means by a name; warns if others fit as well."""
+        """Return the template that a scene means by a name; warns if others fit as well."""
         template, others = dataset.find(section, name)
         if template is not None and others:
             self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken: {template.path}")
@@ -56,7 +56,7 @@ class SceneBuilder:
 
     # --- placing ------------------------------------------------------------------------------------------------------
     def add_stage(self, template: Template) -> None:
-        """Adds the stage of a scene, and its navmesh if the template names one."""
+        """Add the stage of a scene, and its navmesh if the template names one."""
         read = self.templates.stage(template)
         if read is None:
             return
@@ -71,7 +71,7 @@ class SceneBuilder:
         self._add(Instance(name="stage", asset=read.asset, pose=pose, scale=read.scale, motion="static"), where)
 
     def add_object(self, template: Template, entry: Mapping[str, Any], *, origin: Any, where: Path) -> None:
-        """Adds a rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
+        """Add a rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
         self.templates.keys.note("object_instance", entry)
         # counted before anything can fail: Habitat numbers instances that it cannot show too
         name = self._next_name(template)
@@ -168,7 +168,7 @@ class SceneBuilder:
                 self.instances[index] = replace(instance, receptacles=used)
 
     def scene(self, name: str, *, config: Path, scene: str) -> Scene:
-        """The scene that was collected.
+        """Return the scene that was collected.
 
         Raises:
             MissingAssetError: files do not exist, and that is not allowed.
@@ -217,7 +217,7 @@ class SceneBuilder:
         return f"{template.handle}_:{count:04d}"
 
     def _add(self, instance: Instance, where: Path) -> bool:
-        """Adds an instance unless it is too far away or too large; returns whether it did.
+        """Add an instance unless it is too far away or too large; return whether it did.
 
         Next to such an instance nothing else in the scene would be larger than a point.
         """
@@ -235,7 +235,7 @@ class SceneBuilder:
     def _pose(
         self, entry: Mapping[str, Any], name: str, where: Path
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position [3] and unit quaternion (xyzw) of an entry."""
+        """Return the position [3] and unit quaternion (xyzw) of an entry."""
         w, x, y, z = numbers(entry, "rotation", (1, 0, 0, 0), where=where)
         rotation = normalized(np.array([x, y, z, w])).astype(np.float64)
         if not np.any(rotation):
@@ -244,7 +244,7 @@ class SceneBuilder:
         return np.array(numbers(entry, "translation", (0, 0, 0), where=where)), rotation
 
     def _seen(self, asset: str, entry: Mapping[str, Any], where: Path) -> str:
-        """The asset, or one of the same shapes that is not drawn if the entry says so."""
+        """Return the asset, or one of the same shapes that is not drawn if the entry says so."""
         if flag(entry, "is_instance_visible", True, where=where):
             return asset
         return self.templates.hidden(asset)

@@ -48,7 +48,7 @@ class Template:
 
     @property
     def is_config(self) -> bool:
-        """Returns whether the template is a JSON file of its own."""
+        """Return whether the template is a JSON file of its own."""
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ class SceneDataset:
 
 
 def load_scene_dataset(path: Path) -> SceneDataset:
-    """The templates of a ``*.scene_dataset_config.json``; only names are listed, no template is opened."""
+    """Return the templates of a ``*.scene_dataset_config.json``; only names are listed, no template is opened."""
     content = read_object(path)
     keys = KeyNotes()
     keys.note("scene_dataset_config", content)
@@ -166,7 +166,7 @@ def load_scene_dataset(path: Path) -> SceneDataset:
 
 
 def dataset_above(path: Path) -> SceneDataset:
-    """The dataset that a scene instance belongs to: the nearest one in the folders above whose config lists it."""
+    """Return the dataset that a scene instance belongs to: the nearest one in the folders above whose config lists it."""
     tried: list[Path] = []
     for folder in path.resolve().parents:
         configs = sorted(folder.glob("*" + DATASET_ENDING))
@@ -187,7 +187,7 @@ def dataset_above(path: Path) -> SceneDataset:
 
 
 def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[str]) -> list[Template]:
-    """Returns the templates that a section lists; adds to ``empty`` the search paths below which nothing is."""
+    """Return the templates that a section lists; add to ``empty`` the search paths below which nothing is."""
     root = config.parent
     defaults = mapping(entry, "default_attributes", where=config)
     found: dict[Path, Template] = {}
@@ -220,7 +220,7 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[
 
 
 def _matching(root: Path, pattern: str, ending: str) -> list[Path]:
-    """Files that end in ``ending``, for a pattern that names files or folders (folders are not searched deeper)."""
+    """Return files that end in ``ending``, for a pattern that names files or folders (folders are not searched deeper)."""
     pattern = pattern.replace("\\", "/").strip("/")
     try:
         places = sorted(root.glob(pattern)) if pattern not in ("", ".") else [root]

@@ -39,7 +39,7 @@ def load_habitat_scene(
     strict: bool = False,
     assets: Sequence[str | Path] | None = None,
 ) -> Scene:
-    """A Habitat scene, from any of the files by which Habitat users name one (spec/habitat.md 6.1-6.4).
+    """Return a Habitat scene, from any of the files by which Habitat users name one (spec/habitat.md 6.1-6.4).
 
     ``path`` is a ``*.scene_dataset_config.json`` (then ``scene``, or what follows a ``#`` after the path, names one of
     its scene instances; a part of the name is enough), a ``*.scene_instance.json``, or one thing alone: a
@@ -90,7 +90,10 @@ def load_habitat_scene(
 
 
 def dataset_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
-    """The dataset config and the scene that ``x.scene_dataset_config.json#scene`` names; (None, None) for other paths."""
+    """Return the dataset config and the scene that ``x.scene_dataset_config.json#scene`` names.
+
+    Other paths give (None, None).
+    """
     before, mark, scene = os.fspath(path).rpartition(DATASET_ENDING + "#")
     return (Path(before + DATASET_ENDING), scene) if mark else (None, None)
 
@@ -103,7 +106,7 @@ def _builder(
 
 
 def _alone(builder: SceneBuilder, path: Path) -> Scene:
-    """A stage, or one object whose own origin is the world's."""
+    """Return a stage, or one object whose own origin is the world's."""
     template = Template(handle=path.name.split(".")[0], path=path)
     if path.name.endswith(".object_config.json"):
         builder.add_object(template, {}, origin="asset_local", where=path)

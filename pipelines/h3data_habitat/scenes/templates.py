@@ -88,11 +88,11 @@ class TemplateReader:
     _alive: list[Template] = field(default_factory=list)
 
     def stage(self, template: Template) -> Rigid | None:
-        """The stage; None if its mesh is missing."""
+        """Return the stage; None if its mesh is missing."""
         return self._rigid(template, stage=True)
 
     def rigid(self, template: Template) -> Rigid | None:
-        """The object; None if it cannot be used, which is in the warnings then, or among the missing files."""
+        """Return the object; None if it cannot be used, which is in the warnings then, or among the missing files."""
         read = self._once(template)
         return read if isinstance(read, Rigid) else None
 
@@ -248,14 +248,14 @@ class TemplateReader:
         return name
 
     def hidden(self, asset: str) -> str:
-        """An asset with the same shapes that is not drawn."""
+        """Return an asset with the same shapes that is not drawn."""
         name = f"{asset}~hidden"
         self.assets.setdefault(name, replace(self.assets[asset], name=name, mesh=empty_mesh()))
         return name
 
 
 def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) -> _Frame:
-    """Returns a mesh's frame: as in habitat-sim, a bare stage mesh is Z-up; else Y-up unless its config says more."""
+    """Return a mesh's frame: as in habitat-sim, a bare stage mesh is Z-up; else Y-up unless its config says more."""
     where = template.path
     # habitat-sim takes scans as they are, and scans are Z-up
     bare = stage and not template.is_config and not template.inline and not template.defaults

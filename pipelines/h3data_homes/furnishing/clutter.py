@@ -22,7 +22,7 @@ _LIFT = 0.001
 
 
 def object_assets(rng: np.random.Generator, style: Style) -> dict[str, list[Asset]]:
-    """A few variants of each small object, by category."""
+    """Return a few variants of each small object, by category."""
     return {
         category: [renamed(make(rng, style), f"{category}_{i}") for i in range(_VARIANTS)]
         for category, make in OBJECT_MAKERS.items()
@@ -84,7 +84,7 @@ def clutter(
 def _free_spot(
     rng: np.random.Generator, margin: np.ndarray, radius: float, discs: Sequence[tuple[float, float, float]]
 ) -> tuple[float, float] | None:
-    """A random centre within +-``margin`` of a disc that meets no other disc (x, z, radius); None after 8 attempts."""
+    """Return a random centre within +-``margin`` of a disc that meets no other disc (x, z, radius); None after 8 attempts."""
     for _ in range(8):
         x, z = (rng.uniform(-1, 1, 2) * margin).tolist()
         if all(np.hypot(x - a, z - b) > radius + r + 0.01 for a, b, r in discs):

@@ -47,7 +47,7 @@ class Furniture:
 
     @property
     def solid(self) -> bool:
-        """Returns whether the piece has collision shapes."""
+        """Return whether the piece has collision shapes."""
         return bool(self.shapes)
 
     @cached_property
@@ -61,7 +61,7 @@ class Furniture:
         return shapely.union_all([p for p in parts if p is not None])
 
     def asset(self, name: str) -> Asset:
-        """The piece as an asset of a scene."""
+        """Return the piece as an asset of a scene."""
         return Asset(
             name=name,
             mesh=self.builder.mesh(),
@@ -117,7 +117,7 @@ def finish(
     wall_gap: float = 0.02,
     opens: Callable[[int], Opening] | None = None,
 ) -> Furniture:
-    """The `Furniture` record of a finished model."""
+    """Return the `Furniture` record of a finished model."""
     return Furniture(
         category=category,
         builder=mesh,
@@ -131,7 +131,7 @@ def finish(
 
 
 def legs(mesh: MeshBuilder, half_x: float, half_z: float, top: float, color: Color, thick: float = 0.05) -> list[Shape]:
-    """Adds four square legs below a top; returns their collision boxes."""
+    """Add four square legs below a top; return their collision boxes."""
     shapes: list[Shape] = []
     for sx in (-1, 1):
         for sz in (-1, 1):
@@ -151,7 +151,7 @@ def cabinet_front(
     *,
     knob: str = "top",
 ) -> None:
-    """Adds a door or drawer front with a thin shadow gap around it and a bar handle; ``z`` is the front of the carcass."""
+    """Add a door or drawer front with a thin shadow gap around it and a bar handle; ``z`` is the front of the carcass."""
     (x0, x1), (y0, y1), gap = x, y, 0.004
     # The front extends 2 mm into the carcass: coincident faces would flicker for a camera that gets inside.
     mesh.span((x0 + gap, y0 + gap, z - 0.002), (x1 - gap, y1 - gap, z + 0.018), color, bevel=0.003)
@@ -182,7 +182,7 @@ _SPINES: tuple[Color, ...] = (
 def books(
     mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
 ) -> None:
-    """Adds a row of upright books in the range ``x``, standing at height ``y``."""
+    """Add a row of upright books in the range ``x``, standing at height ``y``."""
     at = x[0]
     while at < x[1] - 0.05:
         thick = rng.uniform(0.018, 0.045)
@@ -195,7 +195,7 @@ def books(
 def stacks(
     mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
 ) -> None:
-    """Adds a row of boxes and jars in the range ``x``, standing at height ``y``."""
+    """Add a row of boxes and jars in the range ``x``, standing at height ``y``."""
     at, middle = x[0], (z[0] + z[1]) / 2
     while True:
         wide = float(rng.uniform(0.08, 0.22))

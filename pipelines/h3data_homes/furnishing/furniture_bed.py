@@ -23,7 +23,7 @@ DESK_DRAWERS = 0.4
 
 
 def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture:
-    """A bed with its head at the back (-z); top of the mattress at 0.53 m."""
+    """Return a bed with its head at the back (-z); top of the mattress at 0.53 m."""
     mesh, length, frame = MeshBuilder(), 2.12, style.wood
     z0 = -length / 2
     mesh.span((-width / 2, 0.0, z0), (width / 2, 1.02, z0 + 0.06), frame, bevel=0.012)

@@ -38,7 +38,7 @@ def _base(mesh: MeshBuilder, width: float, style: Style) -> None:
 def counter(
     rng: np.random.Generator, style: Style, width: float, kind: Literal["drawers", "doors", "sink"] = "doors"
 ) -> Furniture:
-    """A base cabinet with its section of worktop; ``sink`` has a basin and a tap."""
+    """Return a base cabinet with its section of worktop; ``sink`` has a basin and a tap."""
     mesh, half = MeshBuilder(), width / 2
     _base(mesh, width, style)
     low, high = 0.1, WORKTOP_HEIGHT - 0.04
@@ -89,7 +89,7 @@ def counter(
 
 
 def _sink(mesh: MeshBuilder, half: float, style: Style) -> None:
-    """Adds a worktop with a basin and a tap."""
+    """Add a worktop with a basin and a tap."""
     y, back, front = WORKTOP_HEIGHT, -MODULE_DEPTH / 2, MODULE_DEPTH / 2
     x0, x1, z0, z1, deep = half - 0.5, half - 0.08, -0.17, 0.2, 0.16
     for a, b in (
@@ -158,7 +158,7 @@ def fridge(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furniture:
-    """A wall cabinet; its origin is on the floor, as for all furniture."""
+    """Return a wall cabinet; its origin is on the floor, as for all furniture."""
     mesh, d, y0, y1 = MeshBuilder(), 0.34, 1.45, 2.15
     mesh.span((-width / 2, y0, -d / 2), (width / 2, y1, d / 2 - 0.02), shade(style.front, 0.92))
     _splashback(mesh, width, -d / 2, y0, style)
@@ -179,13 +179,13 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
 
 
 def _splashback(mesh: MeshBuilder, width: float, z: float, top: float, style: Style) -> None:
-    """Adds tiles on the wall above the worktop; ``z`` is the back of the cabinet that hangs above."""
+    """Add tiles on the wall above the worktop; ``z`` is the back of the cabinet that hangs above."""
     x, y = width / 2, WORKTOP_HEIGHT
     mesh.quads([[(-x, y, z), (x, y, z), (x, top, z), (-x, top, z)]], style.wall_tile)
 
 
 def hood(rng: np.random.Generator, style: Style) -> Furniture:
-    """An extractor hood above the stove, up to the ceiling; its origin is on the floor, as for all furniture."""
+    """Return an extractor hood above the stove, up to the ceiling; its origin is on the floor, as for all furniture."""
     mesh, w, d, y0, y1 = MeshBuilder(), STOVE_WIDTH - 0.01, 0.48, 1.58, 1.64
     _splashback(mesh, STOVE_WIDTH, -d / 2, y0, style)
     steel = style.metal
@@ -248,7 +248,7 @@ def chair(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def island(rng: np.random.Generator, style: Style) -> Furniture:
-    """A free-standing block of cabinets; the worktop overhangs at the back, where stools stand."""
+    """Return a free-standing block of cabinets; the worktop overhangs at the back, where stools stand."""
     mesh, w, d, over = MeshBuilder(), rng.uniform(1.7, 2.2), 0.9, 0.26
     y, z0, z1 = WORKTOP_HEIGHT, -d / 2 + over, d / 2 - 0.03
     mesh.span((-w / 2, 0.1, z0), (w / 2, y - 0.04, z1 - 0.02), shade(style.front, 0.92), bevel=0.003)

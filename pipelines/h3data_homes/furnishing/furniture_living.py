@@ -24,7 +24,7 @@ from h3data_homes.style import Style
 
 
 def _seat(width: float, depth: float, seats: int, rng: np.random.Generator, style: Style, category: str) -> Furniture:
-    """An upholstered sofa or armchair with ``seats`` cushions."""
+    """Return an upholstered sofa or armchair with ``seats`` cushions."""
     mesh, fabric = MeshBuilder(), style.fabric if category == "sofa" else style.fabric_2
     arm, high, back = 0.17, 0.8, 0.2
     inner = width - 2 * arm
@@ -107,7 +107,7 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def tv(rng: np.random.Generator, style: Style) -> Furniture:
-    """A TV that stands on the TV stand: its origin is at the foot."""
+    """Return a TV that stands on the TV stand: its origin is at the foot."""
     mesh = MeshBuilder()
     w = rng.uniform(1.0, 1.22)
     h = w * 9 / 16
@@ -120,7 +120,7 @@ def tv(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def shelf(rng: np.random.Generator, style: Style, *, stores: bool = False) -> Furniture:
-    """An open shelf, partly filled with books or with ``stores`` (boxes and jars)."""
+    """Return an open shelf, partly filled with books or with ``stores`` (boxes and jars)."""
     mesh = MeshBuilder()
     w, d, h, t = rng.uniform(0.8, 1.1), 0.32, rng.uniform(1.7, 2.0), 0.025
     wood = style.wood
@@ -159,7 +159,7 @@ def _shelf_shapes(w: float, h: float, d: float, t: float, levels: np.ndarray) ->
 
 
 def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None = None) -> Furniture:
-    """A rug: flat, without collision shapes; its three borders are geometry."""
+    """Return a rug: flat, without collision shapes; its three borders are geometry."""
     mesh = MeshBuilder()
     w, d = size if size is not None else (rng.uniform(1.9, 2.3), rng.uniform(1.4, 1.7))
     yarn, yarn_2 = Finish(style.accent, "carpet"), Finish(style.fabric_2, "carpet")
@@ -179,7 +179,7 @@ def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None
 
 
 def _corners(x: float, z: float, y: float) -> list[tuple[float, float, float]]:
-    """Corners of a flat rectangle about the origin, counter-clockwise from above."""
+    """Return corners of a flat rectangle about the origin, counter-clockwise from above."""
     return [(-x, y, z), (x, y, z), (x, y, -z), (-x, y, -z)]
 
 
@@ -237,7 +237,7 @@ def _leaf(
 
 
 def picture(rng: np.random.Generator, style: Style) -> Furniture:
-    """A framed picture: origin at its centre, back at z = 0."""
+    """Return a framed picture: origin at its centre, back at z = 0."""
     mesh = MeshBuilder()
     w, h = (rng.uniform(0.5, 0.8), rng.uniform(0.4, 0.6))[:: int(rng.choice([1, -1]))]
     mesh.span(
@@ -261,7 +261,7 @@ _Motif = tuple[Color, Color, Color]
 
 
 def _landscape(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """Adds a sun above a plain; ``half`` is half the size of the sheet."""
+    """Add a sun above a plain; ``half`` is half the size of the sheet."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, horizon, 0.0235), (a, b, 0.0245), sky)
     mesh.span((-a, -b, 0.0235), (a, horizon, 0.0245), land)
@@ -270,7 +270,7 @@ def _landscape(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: 
 
 
 def _shapes(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """Adds an abstract: a disc and crossing bars."""
+    """Add an abstract: a disc and crossing bars."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(light, 0.98))
     r = 0.5 * min(a, b)
@@ -280,7 +280,7 @@ def _shapes(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: flo
 
 
 def _mountains(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """Adds two mountain ridges, one behind the other."""
+    """Add two mountain ridges, one behind the other."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(sky, 1.1))
     mesh.cylinder((-x, 0.6 * b, 0.0244), 0.14 * min(a, b), 0.001, light, segments=18, turn=turn_x(np.pi / 2))
@@ -291,7 +291,7 @@ def _mountains(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: 
 
 
 def console(rng: np.random.Generator, style: Style) -> Furniture:
-    """A shallow shoe cabinet for the hall."""
+    """Return a shallow shoe cabinet for the hall."""
     mesh = MeshBuilder()
     w, d, h = rng.uniform(0.8, 1.1), 0.24, 0.85
     mesh.span((-w / 2, 0.05, -d / 2), (w / 2, h - 0.02, d / 2 - 0.02), style.front, bevel=0.004)
@@ -307,7 +307,7 @@ def console(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
-    """A ceiling lamp: its origin is the point where it is fixed."""
+    """Return a ceiling lamp: its origin is the point where it is fixed."""
     mesh = MeshBuilder()
     r = rng.uniform(0.16, 0.22)
     mesh.cylinder((0, -0.012, 0), 0.06, 0.024, style.metal, segments=12)
@@ -317,7 +317,7 @@ def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def bench(rng: np.random.Generator, style: Style) -> Furniture:
-    """An upholstered bench without a back."""
+    """Return an upholstered bench without a back."""
     mesh, w, d, h = MeshBuilder(), rng.uniform(1.0, 1.4), 0.4, 0.46
     mesh.span((-w / 2, h - 0.12, -d / 2), (w / 2, h - 0.07, d / 2), style.wood_dark, bevel=0.004)
     mesh.cushion((0, h - 0.035, 0), (w - 0.02, 0.09, d - 0.02), style.fabric_2, radius=0.035)

@@ -35,7 +35,7 @@ class NoRoomError(SceneError):
 
 
 def backed(piece: Furniture, x: float = 0.0) -> Member:
-    """A piece with its back against the wall."""
+    """Return a piece with its back against the wall."""
     return Member(piece=piece, x=x, z=piece.wall_gap_m + piece.size[2] / 2)
 
 
@@ -49,7 +49,7 @@ def place_single(
     only_corner: bool = False,
     left_corner: bool = False,
 ) -> list[Placed] | None:
-    """Places one piece against a wall; see `place_at_wall` for the options and the result."""
+    """Place one piece against a wall; see `place_at_wall` for the options and the result."""
     members = [backed(piece)]
     return place_at_wall(
         rng, state, members, corner=corner, middle=middle, only_corner=only_corner, left_corner=left_corner
@@ -57,7 +57,7 @@ def place_single(
 
 
 def need(group: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
-    """The placed group; raises `NoRoomError` if it is None."""
+    """Return the placed group; raises `NoRoomError` if it is None."""
     if group is None:
         raise NoRoomError(f"No place for the {what} in {state.room.name}.", code="H3-SCENE-022")
     return group
@@ -74,7 +74,7 @@ def in_a_row(pieces: Sequence[Furniture]) -> list[Member]:
 
 
 def _with_other_fabrics(rng: np.random.Generator, style: Style) -> Style:
-    """The style with its fabrics permuted, so that not all seats of a home look the same."""
+    """Return the style with its fabrics permuted, so that not all seats of a home look the same."""
     fabrics = [style.fabric, style.fabric_2, style.accent, shade(style.fabric, 1.35), shade(style.fabric_2, 0.7)]
     a, b, c = (fabrics[i] for i in rng.permutation(len(fabrics))[:3].tolist())
     return replace(style, fabric=a, fabric_2=b, accent=c)
@@ -139,7 +139,7 @@ def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Memb
 
 
 def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
-    """Places a free-standing sofa with armchairs.
+    """Place a free-standing sofa with armchairs.
 
     It tries more often than other groups do, since large rooms look empty without such a group.
     """
@@ -151,7 +151,7 @@ def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list
 
 
 def place_rug(state: RoomState, rug: Furniture, by: Placed, distance: float) -> None:
-    """Places a rug in front of a piece of furniture, ``distance`` between their centres, shifted away from walls if needed."""
+    """Place a rug in front of a piece of furniture, ``distance`` between their centres, shifted away from walls if needed."""
     dx, dz = turned(by.quarter, 0.0, distance)
     x, z = by.x + dx, by.z + dz
     x0, z0, x1, z1 = around(0.0, 0.0, rug.size[0] + 0.04, rug.size[2] + 0.04, by.quarter)
@@ -169,7 +169,7 @@ def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, coun
 
 
 def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats: Sequence[int]) -> list[Placed] | None:
-    """Places a table with chairs, for the first number of ``seats`` that fits, free-standing or with its end at a wall."""
+    """Place a table with chairs, for the first number of ``seats`` that fits, free-standing or with its end at a wall."""
     for count in seats:
         table, chair = kitchen.dining_table(rng, style, count), kitchen.chair(rng, style)
         w, _, d = table.size
@@ -196,7 +196,7 @@ def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats
 
 
 def place_desk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
-    """Places a desk with a chair that is slightly pulled out."""
+    """Place a desk with a chair that is slightly pulled out."""
     desk, chair = sleeping.desk(rng, style), kitchen.chair(rng, style)
     edge = desk.wall_gap_m + desk.size[2]
     seat = Member(
@@ -210,7 +210,7 @@ def place_desk(rng: np.random.Generator, style: Style, state: RoomState) -> list
 
 
 def hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> bool:
-    """Hangs a flat piece with its centre at height ``y``; False if an opening, tall furniture or another one is there."""
+    """Hang a flat piece with its centre at height ``y``; False if an opening, tall furniture or another one is there."""
     half = piece.size[0] / 2 + 0.1
     low, high = side_span(state.interior, side)
     if u - half < low or u + half > high:
@@ -232,7 +232,7 @@ def hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> b
 
 
 def hang_pictures(rng: np.random.Generator, style: Style, state: RoomState, most: int) -> None:
-    """Hangs up to ``most`` pictures on free stretches of wall."""
+    """Hang up to ``most`` pictures on free stretches of wall."""
     hung = 0
     for _ in range(12 + 4 * max(0, most - 3)):
         if hung == most:

@@ -28,7 +28,7 @@ def _bright(rng: np.random.Generator) -> Color:
 
 
 def _centered(category: str, mesh: MeshBuilder, shapes: tuple[Shape, ...], height: float) -> Asset:
-    """The asset of a model that stands at y = 0, shifted so that the origin is at half its height."""
+    """Return the asset of a model that stands at y = 0, shifted so that the origin is at half its height."""
     m = mesh.mesh()
     vertices = m.vertices - np.array([0, height / 2, 0], np.float32)
     return Asset(name=category, mesh=replace(m, vertices=vertices), category=category, shapes=shapes)
@@ -84,7 +84,7 @@ def bowl(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def box(rng: np.random.Generator, style: Style) -> Asset:
-    """A cereal or cracker box with a printed front."""
+    """Return a cereal or cracker box with a printed front."""
     w, h, d = rng.uniform(0.12, 0.17), rng.uniform(0.18, 0.23), rng.uniform(0.05, 0.065)
     mesh, color = MeshBuilder(), _bright(rng)
     mesh.span((-w / 2, 0, -d / 2), (w / 2, h, d / 2), color, bevel=0.001)
@@ -112,7 +112,7 @@ def bottle(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def book(rng: np.random.Generator, style: Style) -> Asset:
-    """A book lying flat."""
+    """Return a book lying flat."""
     w, d, h, mesh = rng.uniform(0.13, 0.18), rng.uniform(0.19, 0.25), rng.uniform(0.02, 0.04), MeshBuilder()
     cover = _bright(rng)
     mesh.span((-w / 2, 0, -d / 2), (w / 2, 0.003, d / 2), cover)

@@ -113,7 +113,7 @@ class RoomState:
 
 
 def room_state(layout: Layout, room: RoomPlan) -> RoomState:
-    """An empty room with its doors and windows."""
+    """Return an empty room with its doors and windows."""
     doors, windows, keep = [], [], []
     for o in layout.openings:
         if room.name not in o.rooms:
@@ -143,12 +143,12 @@ def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> R
 
 
 def side_span(interior: Rect, side: int) -> tuple[float, float]:
-    """The two ends of a wall along its axis."""
+    """Return the two ends of a wall along its axis."""
     return (interior[0], interior[2]) if side % 2 == 0 else (interior[1], interior[3])
 
 
 def side_depth(interior: Rect, side: int) -> float:
-    """Distance from a wall to the opposite wall."""
+    """Return the distance from a wall to the opposite wall."""
     return interior[3] - interior[1] if side % 2 == 0 else interior[2] - interior[0]
 
 
@@ -180,7 +180,7 @@ def front_strip(p: Placed, depth: float) -> Rect:
 
 
 def overlap(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
-    """Returns whether two rectangles overlap by more than ``slack`` [m]."""
+    """Return whether two rectangles overlap by more than ``slack`` [m]."""
     return a[0] < b[2] - slack and b[0] < a[2] - slack and a[1] < b[3] - slack and b[1] < a[3] - slack
 
 
@@ -189,7 +189,7 @@ def _inside(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
 
 
 def gap(a: Rect, b: Rect) -> float:
-    """Distance between two rectangles, 0 if they meet [m]."""
+    """Return the distance between two rectangles, 0 if they meet [m]."""
     dx = max(b[0] - a[2], a[0] - b[2], 0.0)
     dz = max(b[1] - a[3], a[1] - b[3], 0.0)
     return float(np.hypot(dx, dz))
@@ -200,7 +200,7 @@ def _gap_refused(value: float) -> bool:
 
 
 def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
-    """The group's pieces in the world, with its frame at ``origin`` and turned by ``side`` quarters."""
+    """Return the group's pieces in the world, with its frame at ``origin`` and turned by ``side`` quarters."""
     out = []
     for m in members:
         dx, dz = turned(side, m.x, m.z)
@@ -219,7 +219,7 @@ def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float],
 
 
 def fits(state: RoomState, group: Sequence[Placed]) -> bool:
-    """The cheap tests: inside the room, clear of other furniture, doors and windows, no gap of ambiguous width."""
+    """Return the cheap tests: inside the room, clear of other furniture, doors and windows, no gap of ambiguous width."""
     interior = state.interior
     for p in group:
         if not p.piece.solid:
@@ -245,7 +245,7 @@ def fits(state: RoomState, group: Sequence[Placed]) -> bool:
 
 
 def _filled(rect: Rect, interior: Rect, end: int, group: Sequence[Placed]) -> bool:
-    """Returns whether another piece of the group stands between a rectangle and one wall, as a desk does for its chair."""
+    """Return whether another piece of the group stands between a rectangle and one wall, as a desk does for its chair."""
     between = list(rect)
     between[(end + 2) % 4], between[end] = rect[end], interior[end]
     strip = (between[0], between[1], between[2], between[3])
@@ -257,17 +257,17 @@ def _window_strips(state: RoomState) -> list[Rect]:
 
 
 def reach_m(category: str) -> float:
-    """Distance to which a walker must be able to approach the edge from which furniture is used [m]."""
+    """Return the distance to which a walker must be able to approach the edge from which furniture is used [m]."""
     return _REACH.get(category, PLAN_RADIUS + 0.075)
 
 
 def used_from_front(category: str) -> bool:
-    """Returns whether furniture is used from its front only."""
+    """Return whether furniture is used from its front only."""
     return category not in _FROM_ANYWHERE
 
 
 def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
-    """The edges of a group that walkers must be able to approach, see `RoomState.goals`."""
+    """Return the edges of a group that walkers must be able to approach, see `RoomState.goals`."""
     goals = []
     for p in group:
         if p.y > 0 or not p.piece.solid:
@@ -290,7 +290,7 @@ def _outline(p: Placed) -> BaseGeometry:
 
 
 def _bare_floor(state: RoomState) -> BaseGeometry:
-    """The floor between the walls, extended through the doorways."""
+    """Return the floor between the walls, extended through the doorways."""
     import shapely
 
     floor = [shapely.box(*state.interior)]
@@ -303,7 +303,7 @@ def _bare_floor(state: RoomState) -> BaseGeometry:
 
 
 def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
-    """Parts of the free floor that a disc of width 2 r - 5 cm can enter and one of width 2 r + 10 cm cannot.
+    """Return parts of the free floor that a disc of width 2 r - 5 cm can enter and one of width 2 r + 10 cm cannot.
 
     ``wide`` is ``free`` shrunk by the radius of the wider disc.
     """
@@ -318,7 +318,7 @@ def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
 
 
 def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Returns whether agents can still walk through the room with ``extra`` furniture added.
+    """Return whether agents can still walk through the room with ``extra`` furniture added.
 
     For a disc of `PLAN_RADIUS`, one island of free floor must connect all doors and come close enough to all goals, and
     no gap of ambiguous width may be left.
@@ -353,7 +353,7 @@ def _without(free: BaseGeometry, group: Sequence[Placed]) -> BaseGeometry:
 
 
 def commit(state: RoomState, group: Sequence[Placed]) -> None:
-    """Adds a group to the room, except rugs that would leave the room or cover another rug."""
+    """Add a group to the room, except rugs that would leave the room or cover another rug."""
     state.free = _without(state.free, group)
     for p in group:
         if p.piece.category == "rug":

@@ -30,7 +30,7 @@ _SLACK = 1e-6
 
 
 def _extent(members: Sequence[Member]) -> tuple[float, float]:
-    """Smallest and largest x of a group in its own frame."""
+    """Return the smallest and largest x of a group in its own frame."""
     rects = [around(m.x, m.z, m.piece.size[0], m.piece.size[2], m.quarter) for m in members if m.piece.solid]
     return min(r[0] for r in rects), max(r[2] for r in rects)
 
@@ -45,7 +45,7 @@ def _floor_rects(members: Sequence[Member]) -> list[list[Rect]]:
 
 
 def _blocked(state: RoomState, origin: tuple[float, float], rects: Sequence[Rect], taken: Sequence[Rect]) -> bool:
-    """Returns whether a group leaves the room or overlaps taken floor: the first tests of `fits`, before the group is built."""
+    """Return whether a group leaves the room or overlaps taken floor: the first tests of `fits`, before the group is built."""
     (x, z), (a0, b0, a1, b1) = origin, state.interior
     for low_x, low_z, high_x, high_z in rects:
         x0, z0, x1, z1 = x + low_x + _SLACK, z + low_z + _SLACK, x + high_x - _SLACK, z + high_z - _SLACK
@@ -87,7 +87,7 @@ def _positions(
 
 
 def mirrored(side: int) -> bool:
-    """Returns whether a group's +x points towards lower u on this side."""
+    """Return whether a group's +x points towards lower u on this side."""
     return side in (1, 2)
 
 
@@ -103,7 +103,7 @@ def place_at_wall(
     sides: Sequence[int] = (0, 1, 2, 3),
     tries: int = 6,
 ) -> list[Placed] | None:
-    """Places a group against a wall and returns it; None if no position is good.
+    """Place a group against a wall and return it; None if no position is good.
 
     Args:
         rng: Source of random positions.
@@ -146,7 +146,7 @@ def place_at_wall(
 def place_free(
     rng: np.random.Generator, state: RoomState, members: Sequence[Member], *, tries: int = 5
 ) -> list[Placed] | None:
-    """Places a group, given relative to its own centre, where most space is left around it, and returns it; else None."""
+    """Place a group, given relative to its own centre, where most space is left around it, and return it; else None."""
     x0, z0, x1, z1 = state.interior
     rects, taken = _floor_rects(members), (*state.solids, *state.fronts, *state.keep)
     options = []

@@ -55,7 +55,7 @@ PALETTES: Mapping[str, tuple[Color, ...]] = {
 
 
 def colours_of(rng: np.random.Generator, style: Style) -> Callable[[Paint], Color]:
-    """The colours of one thing: every name keeps its colour in all parts of the thing."""
+    """Return the colours of one thing: every name keeps its colour in all parts of the thing."""
     chosen: dict[str, Color] = {}
 
     def of(paint: Paint) -> Color:

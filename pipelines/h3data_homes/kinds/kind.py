@@ -31,12 +31,12 @@ def extent(kind: Kind) -> NDArray[np.float64]:
 
 
 def grasp_point(kind: Kind) -> NDArray[np.float64]:
-    """Point that a hand takes hold of, in the frame of the kind's parts at scale 1, shape [3] [m]."""
+    """Return the point that a hand takes hold of, in the frame of the kind's parts at scale 1, shape [3] [m]."""
     return np.array(kind.hold_m) if kind.hold_m is not None else grasp_point_in(kind.grasp, extent(kind))
 
 
 def is_aligned(kind: Kind) -> bool:
-    """Returns whether it stands parallel to the edges of what it stands on."""
+    """Return whether it stands parallel to the edges of what it stands on."""
     return bool(kind.model) and model_of(kind).aligned
 
 
@@ -66,7 +66,7 @@ class KindBuilder(MeshBuilder):
 def builder_of(
     kind_parts: Sequence[Part], rng: np.random.Generator, style: Style, scale: NDArray[np.float64]
 ) -> MeshBuilder:
-    """The model of some parts in random colours of a style."""
+    """Return the model of some parts in random colours of a style."""
     return KindBuilder(kind_parts, int(rng.integers(1 << 62)), style, scale)
 
 
@@ -101,7 +101,7 @@ def _collision(kind: Kind, scale: NDArray[np.float64], origin: NDArray[np.float6
 
 
 def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furniture:
-    """A piece of furniture or a wall thing of this kind, with random size and colours."""
+    """Return a piece of furniture or a wall thing of this kind, with random size and colours."""
     model = model_of(kind)
     scale = _sampled_scale(model, rng)
     low, high = extent(kind) * scale
@@ -130,7 +130,7 @@ def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furnitur
 
 
 def thing_of(kind: Kind, rng: np.random.Generator, style: Style, name: str) -> Asset:
-    """A small thing as an asset whose origin is the middle of its bounding box."""
+    """Return a small thing as an asset whose origin is the middle of its bounding box."""
     model = model_of(kind)
     scale = _sampled_scale(model, rng)
     mesh = builder_of(model.parts, rng, style, scale).mesh()

@@ -46,7 +46,7 @@ def box(
     bevel: float = 0.0,
     turn: Point = (0, 0, 0),
 ) -> Part:
-    """A box; bevelled, it has 44 triangles instead of 12."""
+    """Return a box; bevelled, it has 44 triangles instead of 12."""
     return Part("box", color, (x, y, z), (w, h, d, bevel), turn)
 
 
@@ -62,7 +62,7 @@ def rod(
     turn: Point = (0, 0, 0),
     n: int = 10,
 ) -> Part:
-    """A closed cylinder, or a cone frustum with another radius at its ``top``; ``y`` is its underside after the turn."""
+    """Return a closed cylinder, or a cone frustum with another radius at its ``top``; ``y`` is its underside after the turn."""
     return Part("rod", color, (x, y, z), (r, h, r if top is None else top), turn, detail=n)
 
 
@@ -76,14 +76,14 @@ def lathe(
     stretch: tuple[float, float] = (1.0, 1.0),
     turn: Point = (0, 0, 0),
 ) -> Part:
-    """A profile of (radius, height) revolved about y; an ascending profile faces outwards."""
+    """Return a profile of (radius, height) revolved about y; an ascending profile faces outwards."""
     return Part("lathe", color, (x, y, z), stretch, turn, rim, n)
 
 
 def ball(
     color: Paint, x: float, y: float, z: float, rx: float, ry: float = 0.0, rz: float = 0.0, *, n: int = 10
 ) -> Part:
-    """An ellipsoid about (x, y, z); radii that are not given equal the first."""
+    """Return an ellipsoid about (x, y, z); radii that are not given equal the first."""
     return Part("ball", color, (x, y, z), (rx, ry or rx, rz or rx), detail=n)
 
 
@@ -99,19 +99,19 @@ def soft(
     *,
     turn: Point = (0, 0, 0),
 ) -> Part:
-    """A box with round edges."""
+    """Return a box with round edges."""
     return Part("soft", color, (x, y, z), (w, h, d, r), turn)
 
 
 def line(color: Paint, r: float, *points: Point, n: int = 6) -> tuple[Part, ...]:
-    """A bent tube through points."""
+    """Return a bent tube through points."""
     return tuple(Part("line", color, a, (*b, r), detail=n) for a, b in pairwise(points))
 
 
 def leaves(
     color: Paint, x: float, y: float, z: float, count: int, length: float, lean: tuple[float, float], width: float
 ) -> Part:
-    """Leaves around a stem that rise and bend outwards; ``lean`` is their range of angles from upright."""
+    """Leave around a stem that rise and bend outwards; ``lean`` is their range of angles from upright."""
     return Part("leaves", color, (x, y, z), (length, *lean, width), detail=count)
 
 
@@ -124,7 +124,7 @@ Nested = Part | tuple["Nested", ...]
 
 
 def flat(parts: Sequence[Nested]) -> tuple[Part, ...]:
-    """The parts of nested tuples, in order."""
+    """Return the parts of nested tuples, in order."""
     out: list[Part] = []
     for part in parts:
         if isinstance(part, Part):
@@ -139,7 +139,7 @@ Scale = NDArray[np.float64]
 
 
 def add(mesh: MeshBuilder, part: Part, color: Color, scale: Scale) -> None:
-    """Adds a part, stretched along x, y and z."""
+    """Add a part, stretched along x, y and z."""
     _ADD[part.shape](mesh, part, color, scale)
 
 

@@ -28,7 +28,7 @@ class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     color: Paint
 
     def parts(self) -> tuple[Part, ...]:
-        """The solids of the shape."""
+        """Return the solids of the shape."""
         raise NotImplementedError
 
 
@@ -41,7 +41,7 @@ class Box(Shape, frozen=True):
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (parts.box(self.color, *self.at, *self.size, bevel=self.bevel, turn=self.turn),)
 
 
@@ -56,7 +56,7 @@ class Rod(Shape, frozen=True):
     sides: int = 10
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (parts.rod(self.color, *self.at, self.radius, self.height, top=self.top, turn=self.turn, n=self.sides),)
 
 
@@ -70,7 +70,7 @@ class Lathe(Shape, frozen=True):
     sides: int = 14
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         x, y, z = self.at
         more = {"n": self.sides, "stretch": self.stretch, "turn": self.turn}
         return (parts.lathe(self.color, *self.rim, x=x, y=y, z=z, **more),)  # type: ignore[arg-type]
@@ -84,7 +84,7 @@ class Ball(Shape, frozen=True):
     sides: int = 10
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (parts.ball(self.color, *self.at, *self.radii, n=self.sides),)
 
 
@@ -97,7 +97,7 @@ class Soft(Shape, frozen=True):
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (parts.soft(self.color, *self.at, *self.size, self.radius, turn=self.turn),)
 
 
@@ -109,7 +109,7 @@ class Pillow(Shape, frozen=True):
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (Part("pillow", self.color, self.at, self.size, self.turn),)
 
 
@@ -121,7 +121,7 @@ class Line(Shape, frozen=True):
     sides: int = 6
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return parts.line(self.color, self.radius, *self.points, n=self.sides)
 
 
@@ -135,7 +135,7 @@ class Arc(Shape, frozen=True):
     pieces: int = 6
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         x, y, z = self.at
         angle = np.radians(np.linspace(*self.angles, self.pieces + 1))
         points = ((x + self.bend * float(np.cos(a)), y + self.bend * float(np.sin(a)), z) for a in angle)
@@ -152,7 +152,7 @@ class Leaves(Shape, frozen=True):
     width: float
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return (parts.leaves(self.color, *self.at, self.count, self.length, self.lean, self.width),)
 
 
@@ -164,7 +164,7 @@ class Legs(Shape, frozen=True):
     thick: float = 0.04
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         return parts.legs(self.color, *self.half, self.top, self.thick)
 
 
@@ -180,7 +180,7 @@ class Fronts(Shape, frozen=True):
     knob: bool = False
 
     def parts(self) -> tuple[Part, ...]:
-        """Parts that the shape consists of."""
+        """Return parts that the shape consists of."""
         found: list[Part] = []
         (low, high), z = self.heights, self.at_z
         a, b = self.width / self.columns, (high - low) / self.rows
@@ -232,7 +232,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
 
 @cache
 def model_of(kind: Kind) -> Model:
-    """Returns the model of a kind whose `Kind.model` is given.
+    """Return the model of a kind whose `Kind.model` is given.
 
     Raises:
         ValueError: the kind has no model in the catalogue.

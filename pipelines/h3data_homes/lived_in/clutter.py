@@ -58,7 +58,7 @@ class _Things:
         return asset
 
     def put(self, asset: Asset, frame: np.ndarray, at: Sequence[float], heading: float) -> None:
-        """Adds an instance with its underside at ``at`` [3] in a frame given by its pose [7]."""
+        """Add an instance with its underside at ``at`` [3] in a frame given by its pose [7]."""
         local = np.array([at[0], at[1] + _LIFT - float(asset.mesh.bounds[0, 1]), at[2]])
         pose = np.empty(7)
         pose[:3] = pose_multiply(frame, np.concatenate([local, IDENTITY_QUAT]))[:3]

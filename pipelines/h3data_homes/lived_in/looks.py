@@ -190,14 +190,14 @@ _WET = ("kitchen", "pantry", "bathroom", "laundry")
 
 @cache
 def thing_style(look: Look) -> Style:
-    """The palette for small things, which all homes of a style share."""
+    """Return the palette for small things, which all homes of a style share."""
     seed = np.frombuffer(look.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
     nowhere = Layout(width=1.0, depth=1.0, rooms=(), openings=())
     return sample_look(np.random.Generator(np.random.Philox(key=seed)), nowhere, look)
 
 
 def sample_look(rng: np.random.Generator, layout: Layout, look: Look) -> Style:
-    """The palette of one home in a style. Every style takes the same random numbers."""
+    """Return the palette of one home in a style. Every style takes the same random numbers."""
     palette = LOOKS[look]
 
     def pick(colors: Colors, material: str = "", amount: float = 0.03) -> Color:

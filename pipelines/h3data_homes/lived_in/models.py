@@ -110,7 +110,7 @@ def _remodelled(piece: Furniture, model: tuple[Nested, ...], rng: np.random.Gene
 
 
 def _other_sofa(piece: Furniture, rng: np.random.Generator, style: Style) -> Furniture:
-    """A sofa or armchair on legs, with a tight back and slim arms; outlines as before."""
+    """Return a sofa or armchair on legs, with a tight back and slim arms; outlines as before."""
     w, _, d = piece.size
     mesh, arm = MeshBuilder(), 0.17
     cloth = style.fabric if piece.category == "sofa" else style.fabric_2
@@ -138,7 +138,7 @@ _OTHER: Mapping[str, Callable[[Furniture, np.random.Generator, Style], Furniture
 
 
 def remodel(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """Gives furniture in a room other models; equal pieces stay equal."""
+    """Give furniture in a room other models; equal pieces stay equal."""
     changed: dict[int, Furniture] = {}
     chosen: dict[str, int] = {}
     out: list[Placed] = []

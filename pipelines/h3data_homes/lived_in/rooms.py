@@ -140,7 +140,7 @@ _REACH_OVER_M = 0.55
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
-    """A piece of a kind of the second generation."""
+    """Return a piece of a kind of the second generation."""
     return furniture_of(KINDS[name], rng, style)
 
 
@@ -169,7 +169,7 @@ def _on_walls(rng: np.random.Generator, style: Style, state: RoomState) -> None:
 
 
 def _above_deep(state: RoomState, side: int, u: float, half: float) -> bool:
-    """Returns whether furniture too deep to reach over stands at a stretch of wall."""
+    """Return whether furniture too deep to reach over stands at a stretch of wall."""
     rect = strip(state.interior, side, u - half, u + half, 0.9)
     return any(overlap(rect, s) and min(s[2] - s[0], s[3] - s[1]) > _REACH_OVER_M for s in state.solids)
 
@@ -198,7 +198,7 @@ def _furnish_child(rng: np.random.Generator, style: Style, state: RoomState, din
 
 
 def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> object:
-    """A desk with an office chair."""
+    """Return a desk with an office chair."""
     desk, seat = sleeping.desk(rng, style), model("office_chair", rng, style)
     chair = Member(
         piece=seat,
@@ -270,7 +270,7 @@ _NEW: Mapping[str, Callable[[np.random.Generator, Style, RoomState, bool], None]
 
 
 def furnish(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnishes a room of any kind; raises `NoRoomError` if a necessary piece does not fit."""
+    """Furnish a room of any kind; raise `NoRoomError` if a necessary piece does not fit."""
     _NEW[state.room.category](rng, style, state, dining)
     _extras(rng, style, state)
     _on_walls(rng, style, state)

@@ -73,13 +73,13 @@ def _boxes(placed: Placed) -> Iterator[_UprightBox]:
 
 
 def _deepest(placed: Placed, others: list[_UprightBox]) -> tuple[float, NDArray[np.float64]]:
-    """Returns the depth of a piece in others, and the direction (x, z) of the shortest path out."""
+    """Return the depth of a piece in others, and the direction (x, z) of the shortest path out."""
     found = [_depth(own, other) for own in _boxes(placed) for other in others]
     return max(found, key=lambda one: one[0], default=(0.0, np.zeros(2)))
 
 
 def _depth(own: _UprightBox, other: _UprightBox) -> tuple[float, NDArray[np.float64]]:
-    """The least overlap of two boxes along the sides of either, 0 where they are apart, and the way out on the floor."""
+    """Return the least overlap of two boxes along the sides of either, 0 where they are apart, and the way out on the floor."""
     best, way = np.inf, np.zeros(2)
     between = own[0] - other[0]
     for axis in (*own[2], *other[2]):

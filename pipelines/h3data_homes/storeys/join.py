@@ -51,7 +51,7 @@ def joined_storeys(plan: StoreyPlan, ground: Scene, upper: Scene, well: Scene) -
 
 
 def _apart(new: Mapping[str, Asset], others: Mapping[str, Asset]) -> tuple[dict[str, Asset], dict[str, str]]:
-    """Assets under names that no other has, and those names by the old ones."""
+    """Return assets under names that no other has, and those names by the old ones."""
     names = {name: f"stairs_{name}" if name in others else name for name in new}
     return {names[n]: a if names[n] == n else replace(a, name=names[n]) for n, a in new.items()}, names
 

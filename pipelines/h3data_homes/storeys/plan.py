@@ -50,7 +50,7 @@ class Well:
     """A straight stairwell along z between two storeys."""
 
     rect: Rect
-    """Floor between its walls, landings included."""
+    """Floor between the walls of the stairwell, landings included."""
     ramp: Ramp
     doors: tuple[tuple[float, float], tuple[float, float]]
     """Spans in z of the doorways: to the ground floor at the lower x, to the upper storey at the higher x."""
@@ -68,12 +68,12 @@ class StoreyPlan:
 
 
 def upper_seed(seed: int) -> int:
-    """The seed of the plan upstairs."""
+    """Return the seed of the plan upstairs."""
     return int.from_bytes(hashlib.sha256(f"h3data.homes/upper/{int(seed)}".encode()).digest()[:4], "little")
 
 
 def plan_storeys(ground: HomeSpec, upper: HomeSpec, attempt: int) -> StoreyPlan:
-    """The plan of a home with two storeys; each ``attempt`` has random numbers of its own.
+    """Return the plan of a home with two storeys; each ``attempt`` has random numbers of its own.
 
     Raises:
         SceneError: no acceptable plan was found, or no wall of one of them has room for the stairwell.
@@ -98,7 +98,7 @@ def _depth(plan: StoreyPlan) -> float:
 def _joined(
     below: Layout, low_door: tuple[str, float], above: Layout, high_door: tuple[str, float], sign: int
 ) -> StoreyPlan:
-    """Both plans with a stairwell that rises towards higher (``sign`` 1) or lower z."""
+    """Return both plans with a stairwell that rises towards higher (``sign`` 1) or lower z."""
     middle = low_door[1]
     start = round(middle + sign * LANDING_M / 2, 3)
     end = round(start + sign * RUN_M, 3)
@@ -144,7 +144,7 @@ def _is_on(opening: Opening, line: float) -> bool:
 
 
 def _upstairs(layout: Layout) -> Layout:
-    """The plan with the rooms of an upper storey, and no door to the street."""
+    """Return the plan with the rooms of an upper storey, and no door to the street."""
     kinds = [_UPSTAIRS.get(r.category, r.category) for r in layout.rooms]
     count: dict[str, int] = {}
     names = {}
@@ -206,7 +206,7 @@ def _places(room: RoomPlan, rooms: Sequence[RoomPlan], line: float) -> list[floa
 
 
 def _turned(layout: Layout, *, swap: bool, flip: bool) -> Layout:
-    """The plan with its axes swapped, then mirrored in x."""
+    """Return the plan with its axes swapped, then mirrored in x."""
     width, depth = (layout.depth, layout.width) if swap else (layout.width, layout.depth)
 
     def rect(r: Rect) -> Rect:

@@ -37,7 +37,7 @@ _DOOR_M = 2.1
 
 
 def stairwell_assets(plan: StoreyPlan, style: Style, rng: np.random.Generator) -> list[tuple[Asset, str]]:
-    """All assets of the stairwell and the cellar with the names of their layers."""
+    """Return all assets of the stairwell and the cellar with the names of their layers."""
     well = plan.well
     return [
         (_walls(plan, style), ""),
@@ -117,7 +117,7 @@ def _incline(well: Well, above_m: float) -> tuple[tuple[float, float], float, fl
 
 
 def _handrails(well: Well, style: Style) -> Asset:
-    """A handrail on each wall, level at both ends, on brackets."""
+    """Return a handrail on each wall, level at both ends, on brackets."""
     mesh, shapes, sign = MeshBuilder(), list[Shape](), _sign(well)
     (y, z), length, angle = _incline(well, _RAIL_M)
     (wide, high), first, last = _RAIL_SIZE, riser(well, 0), riser(well, RISERS - 1)
@@ -215,7 +215,7 @@ def _window_places(well: Well) -> list[tuple[float, tuple[float, float, float]]]
 
 
 def _window(well: Well, index: int, style: Style) -> Asset:
-    """A window in an end wall: frame, pane and sill."""
+    """Return a window in an end wall: frame, pane and sill."""
     end, (wide, low, high) = _window_places(well)[index]
     x0, z0, x1, _ = well.rect
     outer = end - WALL_THICKNESS if end == z0 else end + WALL_THICKNESS
@@ -249,7 +249,7 @@ def _ceiling(well: Well, style: Style) -> Asset:
 
 
 def _cellar(plan: StoreyPlan, style: Style) -> Asset:
-    """The closed block on which the upper storey stands."""
+    """Return the closed block on which the upper storey stands."""
     mesh, shapes = MeshBuilder(), list[Shape]()
     layout, (dx, dz) = plan.upper, plan.offset
     whole = (0.0, 0.0, layout.width, layout.depth)
@@ -263,7 +263,7 @@ def _cellar(plan: StoreyPlan, style: Style) -> Asset:
 
 
 def _missing(layout: Layout, line: float, span: tuple[float, float]) -> list[tuple[float, float]]:
-    """Parts of a span along z where a plan has no wall at x = ``line``."""
+    """Return parts of a span along z where a plan has no wall at x = ``line``."""
     middle = line + (WALL_THICKNESS / 2 if line else -WALL_THICKNESS / 2)
     runs = [plan_box(axis, along, across) for axis, _, along, across in wall_runs(layout)]
     covered = sorted((z0, z1) for x0, z0, x1, z1 in runs if x0 < middle < x1)

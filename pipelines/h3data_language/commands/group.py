@@ -28,7 +28,7 @@ class LanguageTemplates:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A line per template."""
+        """Return a line per template."""
         from h3data_language.templates import TEMPLATES
 
         rows = [[t.name, t.kind, t.wordings[0]] for t in TEMPLATES]
@@ -72,7 +72,7 @@ class LanguageVerify:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A table by type of task; exit code 1 if a home has too few tasks, or an episode raised an error."""
+        """Return a table by type of task; exit code 1 if a home has too few tasks, or an episode raised an error."""
         from h3data_language.verification import digest_of, rows_of_kinds, skip_table, tasks_in, verify_homes
         from h3data_pipelines.jobs.result_files import write_table
 
@@ -142,7 +142,7 @@ class LanguageAttach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A line per reason for which recordings are left out; exit code 1 if there are any, 2 if all are."""
+        """Return a line per reason for which recordings are left out; exit code 1 if there are any, 2 if all are."""
         from h3data.commands.command import claim_file
         from h3data.recording import write_mcap
         from h3data.recording.finding import find_episodes

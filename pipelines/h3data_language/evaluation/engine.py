@@ -70,14 +70,14 @@ _REASONS = {
 
 
 def describe(p: Proposition) -> str:
-    """A proposition in short words: ``is on top (1 of mug_0, mug_1; table_0)``."""
+    """Return a proposition in short words: ``is on top (1 of mug_0, mug_1; table_0)``."""
     things = "; ".join(", ".join(names) for names in p.things)
     count = f"{p.number} of " if len(p.things[0]) > 1 and isinstance(p.number, int) else ""
     return f"{p.function_name.replace('_', ' ')} ({count}{things})"
 
 
 def rows_of(recording: Recording, layout: Layout, *, bugs: bool = False) -> Rows:
-    """The rows of a recording that propositions are about.
+    """Return the rows of a recording that propositions are about.
 
     Raises:
         InputError: it lacks poses of things, or has some of other things.
@@ -135,7 +135,7 @@ def evaluate(evaluation: Evaluation, rows: Rows) -> Verdict:
 
 # --- dependencies -----------------------------------------------------------------------------------------------------
 def _asked(evaluation: Evaluation, truth: Flags) -> Flags:
-    """The truth of propositions in the rows in which their dependencies have them asked."""
+    """Return the truth of propositions in the rows in which their dependencies have them asked."""
     needs: dict[int, list[Dependency]] = {k: [] for k in range(truth.shape[1])}
     for dependency in evaluation.dependencies:
         for k in dependency.proposition_indices:
@@ -196,7 +196,7 @@ def _admits(c: Constraint, first: NDArray[np.int64], terminal: Flags, chosen: Se
 
 
 def _arguments(p: Proposition, pairs: Flags, bugs: bool) -> dict[str, Names]:
-    """The things by which a proposition became true, by argument, from its pairs [A, B] then, or a cluster's members [N].
+    """Return things by which a proposition became true, by argument, from its pairs [A, B] then, or a cluster's members [N].
 
     PARTNR compares two handles as if they were lists, by their letters; with ``bugs``, names are sets of letters.
     """

@@ -136,7 +136,7 @@ class Layout(msgspec.Struct, frozen=True):
         return cls(boxes, furniture, rooms, float(floor_y))
 
     def require(self, name: str, *kinds: str) -> None:
-        """Raises an `InputError` if nothing of these kinds (``things``, ``furniture``, ``rooms``) has the name."""
+        """Raise an `InputError` if nothing of these kinds (``things``, ``furniture``, ``rooms``) has the name."""
         known = [each for kind in kinds for each in getattr(self, kind)]
         if name not in known:
             raise InputError(

@@ -78,7 +78,7 @@ class Rows:
         return center[:, None] + _CORNERS * half[:, None]
 
     def thing(self, name: str) -> ThingBox:
-        """The box of a thing in its own frame.
+        """Return the box of a thing in its own frame.
 
         Raises:
             InputError: there is no such thing.
@@ -87,7 +87,7 @@ class Rows:
         return self.layout.things[name]
 
     def number(self, name: str) -> int:
-        """Index of a thing along the second axis of the arrays."""
+        """Return the index of a thing along the second axis of the arrays."""
         self.thing(name)
         return list(self.layout.things).index(name)
 
@@ -164,7 +164,7 @@ def _is_over(surface: Surface, points: NDArray[np.float64]) -> Flags:
 
 
 def next_to(center: NDArray, half: NDArray, other: NDArray, other_half: NDArray, within_m: float) -> Flags:
-    """Rows in which two boxes, centers and half extents [T or 1, 3], overlap in height and are near each other [T]."""
+    """Return rows in which two boxes, centers and half extents [T or 1, 3], overlap in height and are near each other [T]."""
     apart = other - center
     high = np.abs(apart[:, 1]) <= half[:, 1] + other_half[:, 1] + PADDING_M
     flat, sizes = apart[:, [0, 2]], (half + other_half)[:, [0, 2]]
@@ -175,7 +175,7 @@ def next_to(center: NDArray, half: NDArray, other: NDArray, other_half: NDArray,
 
 
 def members_of(p: Proposition) -> list[str]:
-    """All N names in a proposition about a cluster."""
+    """Return all N names in a proposition about a cluster."""
     return list(dict.fromkeys(name for group in p.things for name in group))
 
 
@@ -206,7 +206,7 @@ def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
 
 
 def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Rows in which a proposition is true [T], and the pairs behind it as in `pairs_of`, or the members of the cluster.
+    """Return rows in which a proposition is true [T], and the pairs behind it as in `pairs_of`, or the members of the cluster.
 
     Raises:
         InputError: a name in it does not exist in the home.

@@ -143,7 +143,7 @@ class Progress(NamedTuple):
 
 
 def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
-    """The progress in a recording: evaluated from its propositions, or as its simulator stored it.
+    """Return the progress in a recording: evaluated from its propositions, or as its simulator stored it.
 
     Raises:
         InputError: propositions or stored results are malformed.
@@ -163,7 +163,7 @@ def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
 
 
 def verdict_of(recording: Recording, *, bugs: bool = False) -> Verdict:
-    """Evaluates the propositions of a recording that has them and the layout of its home.
+    """Evaluate the propositions of a recording that has them and the layout of its home.
 
     Raises:
         InputError: they are malformed, or name what does not exist.
@@ -173,7 +173,7 @@ def verdict_of(recording: Recording, *, bugs: bool = False) -> Verdict:
 
 
 def partnr_series(recording: Recording, *, bugs: bool = False) -> Series:
-    """Computes ``satisfied_share`` [T] of the propositions so far, and flags of rows with ``progress`` and ``place`` events."""
+    """Compute ``satisfied_share`` [T] of the propositions so far, and flags of rows with ``progress`` and ``place`` events."""
     rows, info = len(recording), recording.episode.info
     series: dict[str, NDArray] = {kind: np.zeros(rows, np.bool_) for kind in ("progress", "place")}
     known = info.get("satisfied_at") is not None or info.get(LAYOUT) is not None
@@ -189,7 +189,7 @@ def partnr_series(recording: Recording, *, bugs: bool = False) -> Series:
 
 
 def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric, ...], bugs: bool = False) -> Computed:
-    """Computes the metrics of the profile.
+    """Compute the metrics of the profile.
 
     Raises:
         MissingColumnsError: there are neither propositions nor stored results.
@@ -227,7 +227,7 @@ def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric,
 
 
 def percent_complete(satisfied_at: NDArray[np.int64], constraints: NDArray[np.bool_]) -> float:
-    """Returns the share of the propositions [P] that held and that all constraints [C, P] admit; 0 without propositions."""
+    """Return the share of the propositions [P] that held and that all constraints [C, P] admit; 0 without propositions."""
     return float(((satisfied_at != -1) & constraints.all(axis=0)).mean()) if len(satisfied_at) else 0.0
 
 

@@ -47,7 +47,7 @@ NEXT_TO_M = 0.5
 
 
 class Proposition(msgspec.Struct, frozen=True):
-    """A predicate of the home with its arguments; lists of things mean any of them."""
+    """A predicate of the home with its arguments; it is true if it holds for any thing of each list."""
 
     function_name: str
     args: dict[str, Any] = {}
@@ -66,7 +66,7 @@ class Proposition(msgspec.Struct, frozen=True):
 
     @property
     def is_same(self) -> bool:
-        """Returns whether all of them have to be at the same thing of the second list."""
+        """Return whether all of them have to be at the same thing of the second list."""
         return bool(self.args.get(_SAME.get(self.function_name, ""), False))
 
 

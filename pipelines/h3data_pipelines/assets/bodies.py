@@ -52,7 +52,7 @@ class BodiesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders the bodies, and returns their names and sizes."""
+        """Render the bodies, and return their names and sizes."""
         from h3data.render.image_files import write_image
 
         names = self._names()
@@ -146,7 +146,7 @@ class BodiesBake:
     outfit: Literal["casual", "smart", "knit", "sport", "pyjamas", "dress", "summer"] = "casual"
     """Clothes; any other outfit can be named later: me.npz:dress."""
     palette: int = 0
-    """Which of an outfit's sets of colours."""
+    """Number of the set of colours of the outfit."""
     smplx: Path | None = None
     """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); of the options above, only --skin applies to it."""
     betas: tuple[float, ...] = ()
@@ -155,7 +155,7 @@ class BodiesBake:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the body's .npz file.
+        """Write the body's .npz file.
 
         Raises:
             InputError: a parameter is out of range.

@@ -42,7 +42,7 @@ TABLES = ((0.36, 0.36, 0.12), (0.36, 0.66, 0.12))
 
 
 def reach_picture(people: Sequence[Humanoid], *, lod: bool = False, width: int = 1600) -> NDArray[np.uint8]:
-    """Renders a row of reaching poses per body, alternating hands, and a row of `carrying`, as RGB [H, W, 3]."""
+    """Render a row of reaching poses per body, alternating hands, and a row of `carrying`, as RGB [H, W, 3]."""
     rows = [_reaching_row(body, HANDS[k % 2], lod, width) for k, body in enumerate(people)]
     return np.concatenate([*rows, carrying(people[0], lod=lod, width=width)])
 
@@ -59,7 +59,7 @@ def _reaching_row(body: Humanoid, hand: Hand, lod: bool, width: int) -> NDArray[
 
 
 def carrying(body: Humanoid, *, hand: Hand = "right", lod: bool = False, width: int = 1600) -> NDArray[np.uint8]:
-    """Renders a person taking a mug from a low table and carrying it to a higher one, as RGB [H, W, 3]."""
+    """Render a person taking a mug from a low table and carrying it to a higher one, as RGB [H, W, 3]."""
     person = Person(body, ground_pose([0.0, 0.0], 0.0))
     mug = _in_root_frame(body, hand, TABLES[0])
     person.objects["mug"] = np.concatenate([mug, [0, 0, 0, 1.0]])
@@ -85,7 +85,7 @@ def carrying(body: Humanoid, *, hand: Hand = "right", lod: bool = False, width: 
 
 
 def _moment(body: Humanoid, frame: Frame, table: Array | None) -> tuple[tuple[Humanoid, Array, Array], list[Mesh]]:
-    """Pose of the person and meshes of mug and table (at the mug position ``table``), in the agent's root frame."""
+    """Return the pose of the person and meshes of mug and table (at the mug position ``table``), in the agent's root frame."""
     to_root = pose_inverse(frame.base)
     root, mug = pose_multiply(to_root, frame.root), pose_multiply(to_root, frame.objects["mug"])
     props = [_mug(mug)]
@@ -109,7 +109,7 @@ def _row(
 
 
 def _in_root_frame(body: Humanoid, hand: Hand, relative: tuple[float, float, float]) -> Array:
-    """Scales a target as in `TARGETS` to the body, mirrored for the left hand, [3] [m]."""
+    """Scale a target as in `TARGETS` to the body, mirrored for the left hand, [3] [m]."""
     return np.array(relative) * (1, 1, 1 if hand == "right" else -1) * reacher(body, hand).body.scale
 
 

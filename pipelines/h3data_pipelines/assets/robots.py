@@ -48,7 +48,7 @@ class RobotsShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders the robots, and returns their names and sizes."""
+        """Render the robots, and return their names and sizes."""
         from h3data.render.image_files import write_image
 
         robots = [load_robot(name, up=self.up) for name in self.names] or _usable_robots(self.up)
@@ -102,7 +102,7 @@ class RobotsReach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Solves the inverse kinematics and returns the joint positions."""
+        """Solve the inverse kinematics and return the joint positions."""
         robot = load_robot(self.name, up=self.up)
         if not self.link and robot.hand_link < 0:
             raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.", code="H3-BODY-140")
@@ -143,7 +143,7 @@ class RobotsInit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the settings file with what is guessed from the URDF."""
+        """Write the settings file with what is guessed from the URDF."""
         settings = guess_robot_settings(self.urdf, up=self.up)
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()
@@ -163,7 +163,7 @@ ROBOTS = Group(
 
 
 def _usable_robots(up: Literal["z", "y"]) -> list[Robot]:
-    """All robots with a name; warns about those of installed packages that cannot be loaded, and leaves them out."""
+    """Return all robots with a name; warns about those of installed packages that cannot be loaded, and leaves them out."""
     robots = []
     for name in robot_names():
         try:
@@ -202,7 +202,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def encode_settings(settings: RobotSettings) -> str:
-    """Returns the text of a ``robot.toml``: all fields that differ from their defaults, and the base's discs."""
+    """Return the text of a ``robot.toml``: all fields that differ from their defaults, and the base's discs."""
     lines: list[str] = []
     tables: list[str] = []
     for name, value in msgspec.structs.asdict(settings).items():
@@ -223,5 +223,5 @@ def encode_settings(settings: RobotSettings) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A number, a text, or a list of them in TOML: JSON, which is a part of it, does."""
+    """Return a number, a text, or a list of them in TOML: JSON, which is a part of it, does."""
     return json.dumps(list(value) if isinstance(value, tuple) else value)

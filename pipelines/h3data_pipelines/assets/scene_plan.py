@@ -36,7 +36,7 @@ _LIST_SCALE = 0.42
 def scene_map(
     scene: Scene, free: FreeSpace, *, problems: Sequence[Problem] = (), pixels_per_m: float = 80.0
 ) -> NDArray[np.uint8]:
-    """An annotated plan, RGB [H, W, 3]: names of rooms, free floor, receptacles, numbered problems, a scale bar.
+    """Return an annotated plan, RGB [H, W, 3]: names of rooms, free floor, receptacles, numbered problems, a scale bar.
 
     The largest island of ``free`` is green, all others are orange; receptacles are violet frames; problems are listed
     by number below the plan.
@@ -92,7 +92,7 @@ def _outline(image: NDArray[np.uint8], camera: Camera, corners: ArrayLike, color
 
 
 def _name_room(image: NDArray[np.uint8], camera: Camera, room: Room) -> None:
-    """Writes a room's name and area in the middle of its largest rectangle."""
+    """Write a room's name and area in the middle of its largest rectangle."""
     rectangles = np.asarray(room.rectangles, np.float64)
     areas = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
     x0, z0, x1, z1 = rectangles[int(np.argmax(areas))]
@@ -122,7 +122,7 @@ def _text(
     rim: Color | None = (255, 255, 255),
     thickness: int = 1,
 ) -> int:
-    """Writes ``text`` with its baseline at ``at``; returns its width in pixels."""
+    """Write ``text`` with its baseline at ``at``; return its width in pixels."""
     import cv2
 
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
@@ -136,7 +136,7 @@ def _text(
 def _framed(
     image: NDArray[np.uint8], scene: Scene, free: FreeSpace, problems: Sequence[Problem], pixels_per_m: float
 ) -> NDArray[np.uint8]:
-    """The plan with a title above it, and the scale bar, the key and the list of problems below it."""
+    """Return the plan with a title above it, and the scale bar, the key and the list of problems below it."""
     lines = [f"{k}  {p.kind.replace('_', ' ')}: {p.subject}: {p.text}" for k, p in enumerate(problems, 1)]
     lines = lines[:40] + ([f"... and {len(lines) - 40} more"] if len(lines) > 40 else [])
     width = max(image.shape[1], 640)
@@ -163,7 +163,7 @@ def _framed(
 
 
 def _wrapped(line: str, width: int) -> list[str]:
-    """A line of the list broken into parts at most ``width`` pixels wide; all but the first are indented."""
+    """Return a line of the list broken into parts at most ``width`` pixels wide; all but the first are indented."""
     import cv2
 
     parts = [""]
@@ -177,7 +177,7 @@ def _wrapped(line: str, width: int) -> list[str]:
 
 
 def _scale_bar(image: NDArray[np.uint8], at: tuple[int, int], pixels_per_m: float) -> int:
-    """Draws a bar of a round number of metres and its label; returns the width of both in pixels."""
+    """Draw a bar of a round number of metres and its label; return the width of both in pixels."""
     import cv2
 
     metres = next((m for m in (1, 2, 5, 10, 20, 50) if m * pixels_per_m >= 70), 100)

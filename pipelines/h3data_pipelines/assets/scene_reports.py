@@ -80,7 +80,7 @@ def presets_and_sets() -> Outcome:
 
 
 def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
-    """Loads a scene without assets whose files are missing, and a text that names them (empty if none are)."""
+    """Load a scene without assets whose files are missing, and a text that names them (empty if none are)."""
     try:
         return open_scene(source), ""
     except (MissingAssetError, SceneError) as error:
@@ -95,7 +95,7 @@ def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
 def validate_scene(
     named: NamedScene, *, radius_m: float = AGENT_RADIUS_M, picture: Path | None = None
 ) -> dict[str, Any]:
-    """Finds the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
+    """Find the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
     from h3data.render import write_png
     from h3data_pipelines.assets.scene_plan import scene_map
     from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation
@@ -135,7 +135,7 @@ def validate_scene(
 
 
 def _same_object(first: str, second: str) -> bool:
-    """Returns whether two instances are links of one articulated object, which may touch: a door and its cabinet, say."""
+    """Return whether two instances are links of one articulated object, which may touch: a door and its cabinet, say."""
     return "/" in first and first.split("/")[0] == second.split("/")[0]
 
 
@@ -161,13 +161,13 @@ def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
 
 
 def short_name(name: str) -> str:
-    """Name of a scene in tables: the last part of a path."""
+    """Return the name of a scene in tables: the last part of a path."""
     return Path(name).name if "/" in name else name
 
 
 # --- tables and files -------------------------------------------------------------------------------------------------
 def cell(value: Any) -> str:
-    """Value as text for a table; numbers that are not integers have two decimals, and None is empty."""
+    """Return the value as text for a table; numbers that are not integers have two decimals, and None is empty."""
     return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
@@ -184,7 +184,7 @@ def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 @contextmanager
 def readable_os_errors(path: Path) -> Iterator[None]:
-    """Turns an `OSError` while writing ``path`` into an `InputError`."""
+    """Turn an `OSError` while writing ``path`` into an `InputError`."""
     try:
         yield
     except OSError as error:

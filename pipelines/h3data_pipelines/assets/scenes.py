@@ -77,7 +77,7 @@ class ScenesList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns a table of presets and scene sets, or of the sizes of the given scenes."""
+        """Return a table of presets and scene sets, or of the sizes of the given scenes."""
         if self.homes < 1:
             raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         if not self.scenes:
@@ -135,7 +135,7 @@ class ScenesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders the scene to a PNG file."""
+        """Render the scene to a PNG file."""
         from h3data.render import write_png
         from h3data.render.sheets.scene_map import plan_picture
         from h3data_pipelines.assets.scene_plan import scene_map
@@ -203,7 +203,7 @@ class ScenesExport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the scenes as a Habitat scene dataset or as GLB files."""
+        """Write the scenes as a Habitat scene dataset or as GLB files."""
         if not self.scenes:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if self.episodes is not None and self.episodes < 0:
@@ -249,7 +249,7 @@ class ScenesExport:
         return Outcome(text=text, data=data)
 
     def _with_objects(self, scenes: Sequence[Scene]) -> tuple[list[Scene], dict[str, Any]]:
-        """The scenes with the objects in them; how many things they are, and their masses and grasps by name."""
+        """Return the scenes with the objects in them; how many things they are, and their masses and grasps by name."""
         with_objects = scene_files("habitat").with_objects
         assert self.objects is not None
         assert with_objects is not None
@@ -308,7 +308,7 @@ class ScenesExport:
         return files, str(targets[0])
 
     def _claimed(self, scenes: Sequence[Scene], ending: str) -> list[Path]:
-        """One file in the folder per scene, which may be written."""
+        """Return one file in the folder per scene, which may be written."""
         files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}{ending}" for s in scenes]
         if len(set(files)) < len(files):
             raise InputError(
@@ -346,7 +346,7 @@ class ScenesValidate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Checks the scenes, draws their problems on plans if asked to, and returns a report."""
+        """Check the scenes, draw their problems on plans if asked to, and return a report."""
         if not self.scenes:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if not 0.05 <= self.radius <= 2:
@@ -428,7 +428,7 @@ def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -
 
 
 def _stem(name: str) -> str:
-    """A name without folders and endings: ``replica#apt_0`` of ``sets/replica.scene_dataset_config.json#apt_0``."""
+    """Return a name without folders and endings: ``replica#apt_0`` of ``sets/replica.scene_dataset_config.json#apt_0``."""
     file, scene = collection_and_scene(name)
     return Path(name).name.split(".")[0] if file is None else f"{file.name.split('.')[0]}#{scene}".split(".")[0]
 
@@ -438,7 +438,7 @@ def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:
 
 
 def _renamed(named: NamedScene) -> Scene:
-    """Opens a scene; a scene of a set is named by its id."""
+    """Open a scene; a scene of a set is named by its id."""
     scene = open_scene(named.source)
     return replace(scene, name=named.id) if named.id else scene
 
@@ -457,7 +457,7 @@ def _free(named: NamedScene) -> FreeSpace | None:
 
 
 def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str) -> EpisodeSet:
-    """First episodes of a set in Habitat's format, in the order in which `h3data generate` plays them.
+    """Return the first episodes of a set in Habitat's format, in the order in which `h3data generate` plays them.
 
     Their paths lead through ``folder`` as it was given, so Habitat finds the scenes from the working directory of the export,
     as with its own ``data/...``.
@@ -481,7 +481,7 @@ def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str
 
 
 def _with_targets(episodes: EpisodeSet, folder: Path) -> EpisodeSet:
-    """Gives every episode one target object, below the floor where nobody meets it.
+    """Give every episode one target object, below the floor where nobody meets it.
 
     Habitat's social navigation keeps its starts `min_start_distance` away from some target object, and cannot reset
     without one (spec/habitat.md 1.2). The object is another piece of one that stands in the scene.

@@ -30,7 +30,7 @@ def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 
 def sampled_episode(
     source: SceneSource, *, seed: int, spec: SocialNavSpec, robot: str | None = None
 ) -> SocialNavEpisode:
-    """The episode of a seed in a scene under these rules, for one robot."""
+    """Return the episode of a seed in a scene under these rules, for one robot."""
     free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
     scene, body = open_scene(source), robot or ROBOT_BODY
     return stored_episode(SocialNav().episode(scene, seed=seed, spec=spec, free=free, robot=body))

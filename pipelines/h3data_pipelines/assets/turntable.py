@@ -23,7 +23,7 @@ CIRCLE_M, AHEAD_M = 0.22, 0.12
 
 
 def turntable(robot: Robot, *, views: int = 6, width: int = 1600, reaching: bool = False) -> NDArray[np.uint8]:
-    """A robot at equally spaced headings, side by side, RGB [H, W, 3]; ``reaching`` moves its hand along a circle."""
+    """Return a robot at equally spaced headings, side by side, RGB [H, W, 3]; ``reaching`` moves its hand along a circle."""
     if reaching and robot.hand_link >= 0:
         postures = solve_ik(
             robot, robot.links[robot.hand_link].name, _circle(robot, views), offset=robot.hand_position
@@ -62,7 +62,7 @@ def _circle(robot: Robot, count: int) -> Array:
 
 
 def _extent(frames: Array, visuals: list[tuple[int, Mesh]]) -> tuple[float, float]:
-    """Largest distance from the vertical axis, and largest height, in link frames [T, L, 4, 4] [m]."""
+    """Return the largest distance from the vertical axis, and largest height, in link frames [T, L, 4, 4] [m]."""
     corners = [
         _corners(mesh) @ np.swapaxes(frames[:, k, :3, :3], 1, 2) + frames[:, k, None, :3, 3] for k, mesh in visuals
     ]

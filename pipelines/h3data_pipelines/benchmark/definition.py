@@ -69,7 +69,7 @@ class Benchmark:
         return f"{self.file.name}@{self.file.version}"
 
     def request(self, policies: tuple[str, ...]) -> EvaluationRequest:
-        """The evaluation of some policies under the rules of this benchmark."""
+        """Return the evaluation of some policies under the rules of this benchmark."""
         of = self.file
         return EvaluationRequest(
             task=of.task,
@@ -83,14 +83,14 @@ class Benchmark:
         )
 
     def jobs(self) -> list[Evaluation]:
-        """The episodes, to be played by whomever."""
+        """Return the episodes, to be played by whomever."""
         from sim_kinematic.policies.assignment import policy_names
         from sim_kinematic.tasks.registry import find_task
 
         return self.request(tuple(policy_names(find_task(self.file.task), "robot")[:1])).jobs()
 
     def metrics(self) -> list[Metric]:
-        """The columns of the leaderboard, the one that ranks among them."""
+        """Return the columns of the leaderboard, the one that ranks among them."""
         from h3data.metrics.registry import profile_for
         from sim_kinematic.tasks.registry import find_task
 
@@ -105,7 +105,7 @@ class Benchmark:
         return [known[name] for name in self.file.metrics]
 
     def episode_uids(self) -> list[str]:
-        """The identity of each episode (`episode_uid`), in their order.
+        """Return the identity of each episode (`episode_uid`), in their order.
 
         Raises:
             FormatError: the list of episodes is missing or is not one.
@@ -144,7 +144,7 @@ def benchmark_labels() -> tuple[str, ...]:
 
 
 def find_benchmark(name: str) -> Benchmark:
-    """A benchmark by its name (the newest version), name and version, or folder.
+    """Return a benchmark by its name (the newest version), name and version, or folder.
 
     Raises:
         InputError: there is none of this name.
@@ -164,7 +164,7 @@ def find_benchmark(name: str) -> Benchmark:
 
 
 def read_benchmark(folder: Path) -> Benchmark:
-    """The benchmark in a folder.
+    """Return the benchmark in a folder.
 
     Raises:
         FormatError: its definition is damaged, or of another version of the format.
@@ -188,7 +188,7 @@ def read_benchmark(folder: Path) -> Benchmark:
 
 
 def _check_names(file: BenchmarkFile) -> None:
-    """Looks up what a definition names, which may be anybody's: only what is built in, installed or trusted is imported.
+    """Look up what a definition names, which may be anybody's: only what is built in, installed or trusted is imported.
 
     Raises:
         UntrustedNameError: it names a module of the working directory.

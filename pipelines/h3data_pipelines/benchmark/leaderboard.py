@@ -72,7 +72,7 @@ class Leaderboard:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The rows as JSON types, the best first."""
+        """Return the rows as JSON types, the best first."""
         return {
             "benchmark": self.benchmark.label,
             "rows": [
@@ -96,7 +96,7 @@ class Leaderboard:
 
 
 def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
-    """The leaderboard of a benchmark: its baselines and the results in some folders.
+    """Return the leaderboard of a benchmark: its baselines and the results in some folders.
 
     Complete results come first, then the best by the benchmark's ranking metric.
 
@@ -126,12 +126,12 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
 
 
 def write_verdict(verdict: ResultVerification) -> dict[str, Any]:
-    """Writes ``verification.json`` with the result of a check, with the digest of the result that was checked."""
+    """Write ``verification.json`` with the result of a check, with the digest of the result that was checked."""
     return {**verdict.to_dict(), "result_sha256": file_sha256(verdict.folder / MANIFEST)}
 
 
 def _checked(folder: Path, result: BenchmarkResult) -> str:
-    """Returns the leaderboard's entry on the check of a result: of how many episodes, if it is of this very result."""
+    """Return the leaderboard's entry on the check of a result: of how many episodes, if it is of this very result."""
     try:
         found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
         if found["result_sha256"] != file_sha256(folder / MANIFEST) or found["benchmark"] != result.benchmark:
@@ -142,7 +142,7 @@ def _checked(folder: Path, result: BenchmarkResult) -> str:
 
 
 def _baselines(benchmark: Benchmark) -> list[Entry]:
-    """Rows that ship with the benchmark, which were checked when they were made."""
+    """Return rows that ship with the benchmark, which were checked when they were made."""
     path = benchmark.folder / BASELINES
     if not path.is_file():
         return []

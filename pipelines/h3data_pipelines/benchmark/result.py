@@ -37,7 +37,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
     policy: str
     played: int
-    """Episodes with each of the partners that were played to their end."""
+    """Number of episodes with each of the partners that were played to their end."""
     expected: int
     metrics: dict[str, dict[str, float | None]]
     """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
@@ -60,7 +60,7 @@ class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_complete(self) -> bool:
-        """Returns whether every episode was played with every policy."""
+        """Return whether every episode was played with every policy."""
         return all(row.played == row.expected for row in self.rows)
 
 
@@ -91,7 +91,7 @@ def run_benchmark(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> BenchmarkRun:
-    """Plays policies in all episodes of a benchmark, and writes the recordings, the table and ``benchmark.json`` to ``out``.
+    """Play policies in all episodes of a benchmark, and write the recordings, the table and ``benchmark.json`` to ``out``.
 
     Episodes that are in ``out`` already are not played again.
 
@@ -139,7 +139,7 @@ def run_benchmark(
 
 
 def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], expected: int) -> list[ResultRow]:
-    """The table of a result: means of each policy over all episodes and partners.
+    """Return the table of a result: means of each policy over all episodes and partners.
 
     Args:
         metrics: The columns.
@@ -166,7 +166,7 @@ def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
 
 
 def row_label(row: ResultRow) -> str:
-    """The policy, and how much of the benchmark it has played if that is not all."""
+    """Return the policy, and how much of the benchmark it has played if that is not all."""
     return row.policy if row.played == row.expected else f"{row.policy} ({row.played} of {row.expected} episodes)"
 
 
@@ -180,7 +180,7 @@ def cell_text(row: ResultRow, metric: str) -> str:
 
 
 def read_result(folder: Path) -> BenchmarkResult:
-    """The result in a folder.
+    """Return the result in a folder.
 
     Raises:
         InputError: the folder holds none.
@@ -207,7 +207,7 @@ def read_result(folder: Path) -> BenchmarkResult:
 
 
 def result_files(folder: Path) -> list[str]:
-    """Paths in a folder of everything that a result consists of: results of episodes, and recordings."""
+    """Return paths in a folder of everything that a result consists of: results of episodes, and recordings."""
     return sorted(
         path.relative_to(folder).as_posix()
         for part in (RESULTS, RECORDINGS)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 MOST_SHOWN = 20
-"""Faults that are printed; ``--json`` has all."""
+"""Number of faults that are printed; ``--json`` has all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +50,11 @@ class ResultVerification:
     folder: Path
     benchmark: str
     recordings: int
-    """Recordings of the episodes that were checked."""
+    """Number of recordings of the episodes that were checked."""
     episodes: int
-    """Episodes that were checked."""
+    """Number of episodes that were checked."""
     of_episodes: int
-    """Episodes of the benchmark."""
+    """Number of episodes of the benchmark."""
     faults: tuple[str, ...]
     """Faults, a sentence each; empty if the table is true."""
 
@@ -76,7 +76,7 @@ class ResultVerification:
         return "\n".join([*lines, f"not true: {self.folder}, {self.benchmark}: {checked}."])
 
     def to_dict(self) -> dict[str, Any]:
-        """The verdict as JSON types."""
+        """Return the verdict as JSON types."""
         return {
             "result": str(self.folder),
             "benchmark": self.benchmark,
@@ -110,7 +110,7 @@ def verify_result(
     workers: int = 1,
     progress: Callable[..., Any] | None = None,
 ) -> ResultVerification:
-    """Checks a result, as a whole or a random sample of its episodes.
+    """Check a result, as a whole or a random sample of its episodes.
 
     Args:
         folder: The result.
@@ -161,7 +161,7 @@ def verify_result(
 
 
 def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) -> list[str]:
-    """Returns faults of the benchmark's name and of the digests of files."""
+    """Return faults of the benchmark's name and of the digests of files."""
     faults = []
     if result.benchmark != benchmark.label:
         faults.append(f"{MANIFEST}: expected a result of {benchmark.label}, got one of {result.benchmark}.")
@@ -184,7 +184,7 @@ def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) ->
 
 
 def _stored_rows(folder: Path, benchmark: Benchmark) -> tuple[dict[int, list[dict[str, Any]]], list[str]]:
-    """Results by episode as their files give them, and what is wrong with these files."""
+    """Return results by episode as their files give them, and what is wrong with these files."""
     stored: dict[int, list[dict[str, Any]]] = {}
     faults = []
     for index in range(benchmark.file.episodes):
@@ -217,7 +217,7 @@ def _checked_row(row: Any) -> dict[str, Any]:
 def _of_table(
     result: BenchmarkResult, benchmark: Benchmark, stored: Mapping[int, Sequence[Mapping[str, Any]]]
 ) -> list[str]:
-    """Returns faults of the table: rows that do not follow from the results of the episodes."""
+    """Return faults of the table: rows that do not follow from the results of the episodes."""
     expected = benchmark.file.episodes * max(len(benchmark.file.partners), 1)
     rows = summarized(benchmark.metrics(), [row for index in sorted(stored) for row in stored[index]], expected)
     ours = {row.policy: msgspec.to_builtins(row) for row in rows}
@@ -235,7 +235,7 @@ def _of_table(
 
 
 def _check_episode(part: _Part) -> tuple[int, list[str]]:
-    """Number of recordings of an episode, and what is wrong with them."""
+    """Return the number of recordings of an episode, and what is wrong with them."""
     from h3data.recording.finding import find_episodes
 
     name = f"{RECORDINGS}/{part.index:06d}"
@@ -270,7 +270,7 @@ def _check_episode(part: _Part) -> tuple[int, list[str]]:
 
 
 def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns the faults of one recording: another episode, another course, or other metrics than ``rows`` say."""
+    """Return the faults of one recording: another episode, another course, or other metrics than ``rows`` say."""
     from h3data.metrics import measure
     from h3data_pipelines.jobs.evaluations import plan_of
     from sim_kinematic.tasks.resume import verify_episode
@@ -294,7 +294,7 @@ def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequenc
 
 
 def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str]:
-    """Returns the facts of an episode that a recording states wrongly, whoever plays."""
+    """Return the facts of an episode that a recording states wrongly, whoever plays."""
     from sim_kinematic.policies.assignment import AssignedPolicy
     from sim_kinematic.tasks.codec import POLICY_ENTRIES
     from sim_kinematic.tasks.recorder import describe

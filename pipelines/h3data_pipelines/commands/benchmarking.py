@@ -35,7 +35,7 @@ class BenchmarkList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns name, task, number of episodes and description of each."""
+        """Return name, task, number of episodes and description of each."""
         from h3data_pipelines.benchmark.definition import benchmark_labels, find_benchmark
 
         found = [find_benchmark(label) for label in benchmark_labels()]
@@ -66,7 +66,7 @@ def run_benchmark(
     resume: bool = False,
     force: bool = False,
 ) -> BenchmarkRun:
-    """Plays policies in all episodes of a benchmark: ``run_benchmark("h3-social-nav@1", "out/mine", policies=[Mine])``.
+    """Play policies in all episodes of a benchmark: ``run_benchmark("h3-social-nav@1", "out/mine", policies=[Mine])``.
 
     ``h3data benchmark run --help`` explains the options, which are called the same there.
 
@@ -109,7 +109,7 @@ class BenchmarkRunCommand:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Plays all episodes and returns the table."""
+        """Play all episodes and return the table."""
         import msgspec
 
         from h3data_pipelines.benchmark import result
@@ -134,7 +134,7 @@ class BenchmarkRunCommand:
 def verify_benchmark(
     result: FilePath, *, benchmark: FilePath | None = None, episodes: int | None = None, seed: int = 0, workers: int = 1
 ) -> ResultVerification:
-    """Checks whether the table of a result is true: ``verify_benchmark("out/mine").is_true``.
+    """Check whether the table of a result is true: ``verify_benchmark("out/mine").is_true``.
 
     ``h3data benchmark verify --help`` explains the options, which are called the same there.
 
@@ -175,7 +175,7 @@ class BenchmarkVerify:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Checks the result and returns the verdict, which is stored beside it."""
+        """Check the result and return the verdict, which is stored beside it."""
         from h3data_pipelines.benchmark.leaderboard import VERDICT, write_verdict
         from h3data_pipelines.benchmark.verification import verify_result
 
@@ -214,7 +214,7 @@ class BenchmarkTable:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the leaderboard, and writes it if a file is named."""
+        """Return the leaderboard, and write it if a file is named."""
         from h3data_pipelines.benchmark.definition import find_benchmark
         from h3data_pipelines.benchmark.leaderboard import leaderboard
         from h3data_pipelines.benchmark.result import read_result

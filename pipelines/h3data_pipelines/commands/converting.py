@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from h3data.recording import DatasetWriter, Recording
 
 _TOGETHER = 8
-"""Episodes of a shard."""
+"""Number of episodes of a shard."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Convert:
     in time_ns (default: the rate of the first episode, which all must have)."""
     share_scenes: ShareScenesFlag = False
     workers: int = 1
-    """Processes that write logs; a dataset has one writer."""
+    """Number of processes that write logs; a dataset has one writer."""
     executor: ExecutorOption = "local"
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
@@ -66,7 +66,7 @@ class Convert:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Converts the recordings, in several processes if asked to, and returns the number of episodes and files."""
+        """Convert the recordings, in several processes if asked to, and return the number of episodes and files."""
         if self.force and self.resume:
             raise InputError("Choose one: --resume continues the output, --force replaces it.", code="H3-OPTION-022")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
@@ -103,7 +103,7 @@ class Convert:
         return place(self.out)
 
     def _refuse_itself(self) -> None:
-        """Refuses an output inside the input, which would be read too, and one around it, which would be replaced."""
+        """Refuse an output inside the input, which would be read too, and one around it, which would be replaced."""
         source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
         if out == source or source in out.parents or out in source.parents:
             raise InputError(
@@ -130,7 +130,10 @@ class Convert:
         return counted(found, "finished log") if found else ""
 
     def target(self, source: StoredEpisode) -> AnyPath:
-        """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
+        """Return the log's path below the output, as below the input.
+
+        Episode 3 of a dataset becomes ``DATASET/000003.mcap``.
+        """
         if not self._source.is_dir():
             return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
         at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
@@ -187,7 +190,7 @@ class Convert:
         return rows
 
     def _compare(self, sources: list[StoredEpisode], rows: list[dict[str, Any]]) -> None:
-        """Reads every episode of the dataset back; one that differs from its source has failed."""
+        """Read every episode of the dataset back; one that differs from its source has failed."""
         from h3data.recording import Dataset
 
         dataset = Dataset(self._out)
@@ -231,7 +234,7 @@ class Convert:
 
 
 def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
-    """Writes the episodes of a part as logs.
+    """Write the episodes of a part as logs.
 
     The output folder was empty, or it is continued or replaced. Logs that an earlier attempt at this part has finished
     are not written again.

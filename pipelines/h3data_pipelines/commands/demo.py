@@ -48,7 +48,7 @@ FILES = (
     "summary.json",
 )
 FRAME_EVERY = 2
-"""Steps from one frame of the videos to the next: 15 frames/s."""
+"""Number of steps from one frame of the videos to the next: 15 frames/s."""
 VIDEO_SIZE = (480, 360)
 """Size of third_person.mp4 unless another one is asked for [px]. The first picture then has the camera's own, 640x480."""
 
@@ -78,7 +78,7 @@ class Demo:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Simulates the episode, then writes its metrics, a picture and the videos."""
+        """Simulate the episode, then write its metrics, a picture and the videos."""
         from h3data.metrics import measure_many
         from h3data.scene.open import named_scenes, open_scene
 
@@ -181,17 +181,17 @@ class _Videos:
         self._tracks: dict[str, CameraTrack] = {}
 
     def prepare(self) -> None:
-        """Builds what threads share."""
+        """Build what threads share."""
         self.replay.stage  # noqa: B018
 
     def track(self, name: str) -> CameraTrack:
-        """The camera of a video, with pictures of the camera's own size."""
+        """Return the camera of a video, with pictures of the camera's own size."""
         if name not in self._tracks:
             self._tracks[name] = camera_track(self.replay, VIDEOS[name][0])
         return self._tracks[name]
 
     def write(self, name: str, size: tuple[int, int] | None = None, *, threads: int | None = None) -> None:
-        """Writes one video; all cores work on it unless ``threads`` is given."""
+        """Write one video; all cores work on it unless ``threads`` is given."""
         track = self.track(name).resized(*size) if size else self.track(name)
         render_files(
             self.replay,
@@ -203,7 +203,7 @@ class _Videos:
         )
 
     def show_progress(self) -> None:
-        """Shows the bar from now on."""
+        """Show the bar from now on."""
         self._bar.delay = 0
 
     def _count(self) -> None:
@@ -258,7 +258,7 @@ class _Clock:
         self.parts[name] = time.perf_counter() - start
 
     def say(self, text: str) -> None:
-        """Says on stderr what there is after how long, unless the command is to be quiet."""
+        """Say on stderr what there is after how long, unless the command is to be quiet."""
         if not is_quiet() and sys.stderr is not None:
             self.has_said = True
             sys.stderr.write(f"After {self.total:.1f} s: {text}")
@@ -270,7 +270,7 @@ class _Clock:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file or of everything in a folder."""
+    """Return bytes of a file or of everything in a folder."""
     return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
 
 

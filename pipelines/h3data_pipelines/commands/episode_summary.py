@@ -30,7 +30,7 @@ class Spread:
     greatest: float
 
     def text(self, unit: str = "") -> str:
-        """The numbers for people, with three digits."""
+        """Return the numbers for people, with three digits."""
         if self.least == self.greatest:
             return f"{self.mean:g}{unit}"
         return f"{self.least:.3g} to {self.greatest:.3g}{unit} ({self.mean:.3g} on average)"
@@ -45,11 +45,11 @@ class EpisodeSummary:
     """Number of episodes by task and by the program that wrote them."""
     scenes: Mapping[str, int]
     complete: int
-    """Episodes that hold the starts of the agents."""
+    """Number of episodes that hold the starts of the agents."""
     objects: Spread | None
-    """Objects of an episode that it adds to its scene."""
+    """Numbers of objects that single episodes add to their scenes."""
     goals: Spread | None
-    """Objects of an episode that have to go somewhere."""
+    """Numbers of objects that have to be moved in single episodes."""
     templates: Mapping[str, int]
     """Number of such objects by template, or by name in our own files."""
     sources: Mapping[str, int]
@@ -61,18 +61,18 @@ class EpisodeSummary:
     apart_m: Spread | None
     """Straight distance between the starts of robot and person [m]."""
     predicates: Mapping[str, int]
-    """PARTNR's propositions by function."""
+    """Number of PARTNR's propositions, by the name of their function."""
     instructions: tuple[str, ...]
     unplayable: Mapping[str, int]
     """Number of rearrangement episodes by the reason why they cannot be played anywhere."""
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The summary as JSON types."""
+        """Return the summary as JSON types."""
         return {**asdict(self), "instructions": list(self.instructions), "warnings": list(self.warnings)}
 
     def to_text(self) -> str:
-        """Lines for people."""
+        """Return lines for people."""
         starts = "sampled when they are played"
         if self.complete:
             of = "" if self.complete == self.episodes else f" in {self.complete:,} episodes, else {starts}"
@@ -99,7 +99,7 @@ class EpisodeSummary:
 
 
 def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
-    """Summarises the episodes of a file."""
+    """Summarise the episodes of a file."""
     tasks, scenes, templates, sources, destinations, predicates, unplayable = (Counter[str]() for _ in range(7))
     objects, goals, carried, apart = [], [], [], []
     instructions: dict[str, None] = {}
@@ -188,7 +188,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _short(name: str) -> str:
-    """The name without folders and endings of a scene's path, and without the middle of a long one."""
+    """Return the name without folders and endings of a scene's path, and without the middle of a long one."""
     name = name.rsplit("/", 1)[-1].removesuffix(".scene_instance.json")
     return name if len(name) <= _LONGEST else f"{name[: _LONGEST // 2]}...{name[-_LONGEST // 2 + 3 :]}"
 

@@ -78,7 +78,7 @@ def evaluate(
     resume: bool = False,
     force: bool = False,
 ) -> EvaluationResult | SkillEvaluationResult:
-    """Plays policies in the same episodes and measures them: ``evaluate("social_nav", "out", policies=["end_to_end", Mine])``.
+    """Play policies in the same episodes and measure them: ``evaluate("social_nav", "out", policies=["end_to_end", Mine])``.
 
     ``h3data evaluate TASK --help`` explains the options, which are called the same there.
 
@@ -173,7 +173,7 @@ class Evaluate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Plays all episodes and returns the table of metrics."""
+        """Play all episodes and return the table of metrics."""
         from sim_kinematic.tasks.rearrange.task import Rearrange
 
         is_skill = self.task == SKILL  # skills are judged in episodes of rearrangement

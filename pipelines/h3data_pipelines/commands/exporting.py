@@ -63,7 +63,7 @@ def export(
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
-    """Writes recordings as files of other programs; options as of ``h3data export``.
+    """Write recordings as files of other programs; options as of ``h3data export``.
 
     Returns:
         The file or folder.
@@ -118,13 +118,13 @@ class Export:
     storage: BagStorage
     """Storage of a bag: mcap, or sqlite3, which Humble reads without another package; for rosbag2."""
     lidar: int
-    """Rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
+    """Number of rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
     backend: BackendOption
     force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the recordings in the other format and returns the files."""
+        """Write the recordings in the other format and return the files."""
         form = export_format(self.to)
         if self.backend != "cpu" and "cameras" not in form.write_options:
             raise InputError(

@@ -78,7 +78,7 @@ COMMIT_STEPS = 30_000
 """Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
 which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
-"""Steps that a frame of a video counts as."""
+"""Number of steps that a frame of a video counts as."""
 MAX_STEPS = task_notes(lambda task: f"{(task.usage.dataset_rules or task.Spec()).max_steps}.")
 SPAWN_DISTANCE = task_notes(lambda task: "Sets and files decide it." if task.usage.set_rules else "")
 
@@ -122,7 +122,7 @@ def generate(
     resume: bool = False,
     force: bool = False,
 ) -> Generated:
-    """Simulates episodes of a task into a dataset: ``generate("social_nav", "ds", episodes=20, cameras=["robot_arm"])``.
+    """Simulate episodes of a task into a dataset: ``generate("social_nav", "ds", episodes=20, cameras=["robot_arm"])``.
 
     ``h3data generate TASK --help`` and h3data docs generate explain the options, which are called the same there.
     With ``workers`` above 1 call it under ``if __name__ == "__main__":``, as Python's own `multiprocessing` asks for.
@@ -237,7 +237,7 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Simulates the episodes and returns their number and the dataset's size."""
+        """Simulate the episodes and return their number and the dataset's size."""
         from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 
@@ -296,7 +296,7 @@ class Generate:
         return Outcome(text=text, data=data, result=result, exit_code=1 if written.failed or asked.left_out else 0)
 
     def _plan(self, asked: FileJobs) -> Outcome:
-        """Describes the episodes that would be played, without playing any."""
+        """Describe the episodes that would be played, without playing any."""
         jobs = asked.jobs
         scenes = scenes_of(jobs)
         named = ", ".join(scenes[:6]) + (f" and {len(scenes) - 6} more" if len(scenes) > 6 else "")
@@ -385,11 +385,11 @@ class Generate:
             )
 
     def jobs(self) -> Sequence[Job]:
-        """All episodes, or an `InputError` that names the bad option."""
+        """Return all episodes, or an `InputError` that names the bad option."""
         return self._jobs().jobs
 
     def _jobs(self) -> FileJobs:
-        """All episodes, and why others of a file are left out."""
+        """Return all episodes, and why others of a file are left out."""
         check_numbers(
             episodes=self.episodes,
             homes=self.homes,

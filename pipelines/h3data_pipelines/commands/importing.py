@@ -42,7 +42,7 @@ def import_(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Turns recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
+    """Turn recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
 
     Returns:
         The outcome for every file.
@@ -104,7 +104,7 @@ class Import:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Converts the files and returns what was imported and what could not be."""
+        """Convert the files and return what was imported and what could not be."""
         result = import_files(
             self.paths,
             self.out,
@@ -129,7 +129,7 @@ class Import:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    """One line for each file: what became of it, what it is, and why it was not imported."""
+    """Return one line for each file: what became of it, what it is, and why it was not imported."""
     cells = [(row["status"], row["kind"], row["source"], str(row.get("steps", "")), _why(row)) for row in rows]
     return text_table(("", "kind", "file", "steps", "why"), cells)
 

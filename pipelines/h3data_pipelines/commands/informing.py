@@ -46,7 +46,7 @@ class Info:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns a description of each path."""
+        """Return a description of each path."""
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap), dataset or episode file.", code="H3-OPTION-043")
         described = [part for path in map(place, self.paths) for part in _described(path)]
@@ -128,7 +128,7 @@ def _outcome(recording: Recording) -> list[str]:
 
 
 def _joints(recording: Recording) -> list[str]:
-    """A line about doors and drawers, and which of them were moved."""
+    """Return a line about doors and drawers, and which of them were moved."""
     moved = _moved_joints(recording)
     if moved is None:
         return []
@@ -137,7 +137,7 @@ def _joints(recording: Recording) -> list[str]:
 
 
 def _moved_joints(recording: Recording) -> list[str] | None:
-    """Names of the joints of the home that moved; None: none were recorded."""
+    """Return names of the joints of the home that moved; None: none were recorded."""
     positions = recording.columns.get(JOINTS)
     if positions is None or positions.ndim != 2:
         return None
@@ -176,7 +176,7 @@ def _players(recording: Recording) -> list[str]:
 
 
 def _by_bot(recording: Recording) -> str:
-    """Returns whether the player was a script, and the clock another than real time."""
+    """Return whether the player was a script, and the clock another than real time."""
     hitl = recording.episode.info.get("hitl")
     hitl = hitl if isinstance(hitl, dict) else {}
     client, speed = hitl.get("client"), hitl.get("speed", 1)

@@ -59,7 +59,7 @@ class Metrics:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the table of metrics, the comparison of two runs, or the explanation of a metric."""
+        """Return the table of metrics, the comparison of two runs, or the explanation of a metric."""
         words = [str(path) for path in self.recordings]
         if words == ["list"]:
             return _list()

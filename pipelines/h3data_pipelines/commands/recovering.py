@@ -27,7 +27,7 @@ class Recover:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the readable part of the recording and returns how much was saved."""
+        """Write the readable part of the recording and return how much was saved."""
         from h3data.recording import recover_mcap
 
         out = claim_file(self.out, force=self.force, suffix=".mcap")

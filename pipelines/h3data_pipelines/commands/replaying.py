@@ -54,7 +54,7 @@ class ReplayCommand:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Verifies the recording, or writes its continuation or counterfactual."""
+        """Verify the recording, or write its continuation or counterfactual."""
         continues = self.resume_from is not None or self.counterfactual
         if self.verify + self.added_time + continues != 1:
             raise InputError(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset
 
 _ROWS = 40
-"""Rows shown as text at most: the first ones, and the last of the first 10,000."""
+"""Number of rows shown as text at most: the first ones, and the last of the first 10,000."""
 _RECORDS = ("events", "skills", "agents", "bodies", "inputs")
 _TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
 _EPISODES = pa.schema(
@@ -91,7 +91,7 @@ class Sql:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Runs the query and returns its rows."""
+        """Run the query and return its rows."""
         from h3data.recording import Dataset, open_recording
         from h3data.recording.finding import find_sources
 
@@ -125,7 +125,7 @@ class Sql:
 def connect(
     datasets: dict[str, Dataset], *, profile: str | None = None, metrics: bool = True
 ) -> duckdb.DuckDBPyConnection:
-    """A DuckDB connection with the views over ``datasets`` (by name), which can read nothing else and write nothing.
+    """Return a DuckDB connection with the views over ``datasets`` (by name), which can read nothing else and write nothing.
 
     The view ``episodes`` has the metrics of ``profile`` (default: that of each episode's task); without ``metrics`` it has
     none, and nothing is measured.
@@ -157,7 +157,7 @@ def connect(
 
 
 def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPyRelation:
-    """The result of one query, not yet computed.
+    """Return the result of one query, not yet computed.
 
     Raises:
         InputError: the query is not a single reading statement.
@@ -176,7 +176,7 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors() -> Iterator[None]:
-    """Turns DuckDB's errors into an `InputError` of one line; its message names the closest columns."""
+    """Turn DuckDB's errors into an `InputError` of one line; its message names the closest columns."""
     import duckdb
 
     try:
@@ -246,7 +246,7 @@ def _unsigned(value: str) -> str:
 
 
 def _episodes(name: str, dataset: Dataset, profile: str | None, metrics: bool) -> pa.Table:
-    """One row per episode, with policy and partner from its info, and its metrics measured now."""
+    """Return one row per episode, with policy and partner from its info, and its metrics measured now."""
     rows = []
     for row in dataset.rows:
         info = json.loads(row["info"])
@@ -261,7 +261,7 @@ def _episodes(name: str, dataset: Dataset, profile: str | None, metrics: bool) -
 
 
 def _metrics(dataset: Dataset, profile: str | None) -> list[dict[str, float | None]]:
-    """The metrics of each episode by name; empty where the profile does not apply to the task or recording."""
+    """Return the metrics of each episode by name; empty where the profile does not apply to the task or recording."""
     from h3data.metrics import measure
     from h3data.metrics.reading import recordings
 
@@ -289,7 +289,7 @@ def _text(value: str) -> str:
 
 # --- the result -------------------------------------------------------------------------------------------------------
 def _text_of(relation: duckdb.DuckDBPyRelation) -> str:
-    """A table as wide as the terminal; computes only the rows that DuckDB needs for it."""
+    """Return a table as wide as the terminal; computes only the rows that DuckDB needs for it."""
     text = io.StringIO()
     with redirect_stdout(text):
         relation.show(max_width=shutil.get_terminal_size((120, 24)).columns, max_rows=_ROWS)
@@ -306,7 +306,7 @@ def _data(table: pa.Table) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON can hold it: DuckDB's sums of integers are decimals; times and the like become text."""
+    """Return the value as JSON can hold it: DuckDB's sums of integers are decimals; times and the like become text."""
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, dict):
@@ -317,7 +317,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
-    """Writes all rows to a file as they come, through a second connection: that of the views may write nothing."""
+    """Write all rows to a file as they come, through a second connection: that of the views may write nothing."""
     import duckdb
 
     writer = duckdb.connect()
@@ -329,7 +329,7 @@ def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
 
 
 def step_source(dataset: DatasetFolder) -> pads.Dataset:
-    """All committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
+    """Return all committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
     import pyarrow.dataset as pads  # imports pandas where it is installed: half a second of every command
 
     schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
@@ -350,7 +350,7 @@ def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
 
 
 def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> list[int]:
-    """Numbers of the shards in the episode tables, optionally only those that have steps."""
+    """Return numbers of the shards in the episode tables, optionally only those that have steps."""
     rows = dataset.rows
     return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
 

@@ -21,11 +21,11 @@ from h3data.recording.episodes import StoredEpisode
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16
-"""Episodes of a shard: some tenths of a second."""
+"""Number of episodes of a shard: some tenths of a second."""
 _STEPS_TOGETHER = 10_000
-"""Steps of a dataset that are read at once."""
+"""Number of steps of a dataset that are read at once."""
 _SHOWN = 4
-"""Findings per kind and recording in the text; JSON has all."""
+"""Number of findings per kind and recording in the text; JSON has all."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,12 @@ class Validate:
     strict: bool = False
     """Count warnings as errors."""
     workers: int = 1
-    """Processes."""
+    """Number of processes that validate."""
     executor: ExecutorOption = "local"
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Checks all episodes, in several processes if asked to, and returns the findings."""
+        """Check all episodes, in several processes if asked to, and return the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
@@ -79,7 +79,7 @@ class Validate:
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
-        """Findings in one recording, which ``read`` returns."""
+        """Return findings in one recording, which ``read`` returns."""
         from h3data_pipelines.validation.recordings import Finding, validate_recording
 
         steps = 0
@@ -109,7 +109,7 @@ class Validate:
 
 
 def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
-    """The rows of a part."""
+    """Return the rows of a part."""
     from h3data.recording.assets.library import AssetLibrary
 
     library = AssetLibrary(command.assets)

@@ -23,13 +23,13 @@ from h3data.commands.shards import LostShardError, R, S
 _log = logging.getLogger(__name__)
 
 TRIES = 3
-"""Times that a shard is begun before it is given up, when its process dies each time."""
+"""Number of times that a shard is begun before it is given up, when its process dies each time."""
 _AHEAD = 4
-"""Shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
+"""Number of shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
 
 
 def core_count() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -90,7 +90,7 @@ class Processes:
 
 @contextmanager
 def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that leave at once when the block ends, whatever they are at."""
+    """Process that leave at once when the block ends, whatever they are at."""
     context = get_context("spawn")  # forked children would share the thread pools of numba and torch
     gate, opener = context.Pipe(duplex=False)  # workers leave when the other end closes
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(gate,))
@@ -108,7 +108,7 @@ def _submitted(pool: ProcessPoolExecutor, work: Callable[[S], R], shard: S) -> F
 
 
 def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError], R] | None) -> R:
-    """The result of a shard that may have ended a process, by another that has the machine to itself."""
+    """Return the result of a shard that may have ended a process, by another that has the machine to itself."""
     for _ in range(TRIES - 1):
         try:
             with _pool(1) as pool:
@@ -123,7 +123,7 @@ def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError],
 
 @contextmanager
 def _ctrl_c_held() -> Iterator[None]:
-    """Delays Ctrl-C to the end of the block. Processes started in it never see one: their parent stops them."""
+    """Delay Ctrl-C to the end of the block. Processes started in it never see one: their parent stops them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -144,7 +144,7 @@ class _Worker:
         self.is_stopped = False
 
     def watch(self, gate: Connection, parent: BaseProcess) -> None:
-        """Waits for the parent to close the gate or to die."""
+        """Wait for the parent to close the gate or to die."""
         wait((gate, parent.sentinel))
         with self.lock:
             self.is_stopped = True
@@ -154,7 +154,7 @@ class _Worker:
         os._exit(1)
 
     def work(self, function: Callable[[S], R], shard: S) -> R:
-        """The result of a shard."""
+        """Return the result of a shard."""
         with self.lock:
             if self.is_stopped:
                 os._exit(1)

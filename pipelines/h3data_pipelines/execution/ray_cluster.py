@@ -24,11 +24,11 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
 
 TRIES = 4
-"""Times that a shard is begun before it is given up, when the process that had it dies each time."""
+"""Number of times that a shard is begun before it is given up, when the process that had it dies each time."""
 NODE_TRIES = 20
 """Number of tries when the whole node dies, for which the shard is hardly to blame."""
 _AHEAD = 4
-"""Results that may wait for an earlier one, per worker."""
+"""Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
 """A straggler takes this many times as long as the median of the shards before it."""
 _SLOW_S = 30.0
@@ -46,7 +46,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
-    """Connects to a Ray cluster for the executors ``ray`` and ``ray://host:port``.
+    """Connect to a Ray cluster for the executors ``ray`` and ``ray://host:port``.
 
     Args:
         address: a Ray Client server, usually on the cluster's head. Empty means the cluster that runs here or that
@@ -108,7 +108,7 @@ def _connect(ray: Any, address: str, workers: int) -> None:
 
 
 def _dial(where: str) -> None:
-    """Fails fast where nobody listens: Ray itself tries for half a minute."""
+    """Fail fast where nobody listens: Ray itself tries for half a minute."""
     host, _, port = where.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         raise InputError(
@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Runs shards as `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
+        """Run shards as `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):
@@ -191,7 +191,7 @@ class _UnderWay:
         self.origin = Origin.of_this_process().to_json()
 
     def result(self, wanted: int) -> Any:
-        """The result of a shard, or the error with which it ended; those before it must have been asked for."""
+        """Return the result of a shard, or the error with which it ended; those before it must have been asked for."""
         wait_s = 0.0
         while True:
             self._begin(wanted)
@@ -201,13 +201,13 @@ class _UnderWay:
             wait_s = 1.0
 
     def cancel(self) -> None:
-        """Stops everything that runs."""
+        """Stop everything that runs."""
         for reference in self.attempts:
             _cancel(reference)
         self.attempts.clear()
 
     def _begin(self, wanted: int) -> None:
-        """Fills the workers: what was lost first, then new shards, then a second try of the slowest."""
+        """Fill the workers: what was lost first, then new shards, then a second try of the slowest."""
         while len(self.attempts) < self.workers:
             if self.again:
                 self._submit(self.again.pop(0))
@@ -221,7 +221,7 @@ class _UnderWay:
                 return
 
     def _straggler(self) -> int | None:
-        """The first shard that runs once and takes much longer than others did."""
+        """Return the first shard that runs once and takes much longer than others did."""
         if self.writes or not self.took_s:
             return None
         usual = sorted(self.took_s)[len(self.took_s) // 2]

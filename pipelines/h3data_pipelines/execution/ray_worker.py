@@ -53,7 +53,7 @@ class Origin:
 
     @classmethod
     def of_this_process(cls) -> Origin:
-        """Origin that describes this process."""
+        """Return the origin that describes this process."""
         packages = " ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _DECIDES)])
         return cls(source_digest(), packages, os.getcwd())
 
@@ -63,7 +63,7 @@ class Origin:
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
-        """Origin from the JSON that `to_json` returned."""
+        """Return the origin from the JSON that `to_json` returned."""
         return cls(**json.loads(text))
 
 
@@ -81,7 +81,7 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """Works on a shard in a worker.
+    """Work on a shard in a worker.
 
     Returns:
         ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or
@@ -115,7 +115,7 @@ def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
 
 
 def _pickled(error: Exception) -> bytes:
-    """An error that arrives as itself where its class can be pickled, else as its text."""
+    """Return an error that arrives as itself where its class can be pickled, else as its text."""
     from h3data.errors import H3DataError
 
     try:
@@ -127,7 +127,7 @@ def _pickled(error: Exception) -> bytes:
 
 
 def portable_task() -> Callable[[str, bytes], tuple[str, Any]]:
-    """The function that Ray sends to workers by value, so that it can say that the node lacks the package."""
+    """Return the function that Ray sends to workers by value, so that it can say that the node lacks the package."""
 
     def h3data_shard(origin: str, payload: bytes) -> tuple[str, Any]:
         import platform

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
-"""Episodes in the picture."""
+"""Number of episodes in the picture."""
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
 """Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20
@@ -48,7 +48,7 @@ def card(
     repo: str = "user/name",
     force: bool = False,
 ) -> Path:
-    """Writes README.md for a dataset; options as of ``h3data card``.
+    """Write README.md for a dataset; options as of ``h3data card``.
 
     Returns:
         The file.
@@ -85,7 +85,7 @@ class Card:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the card, or returns its text with ``--dry-run``."""
+        """Write the card, or return its text with ``--dry-run``."""
         from h3data.recording import Dataset
 
         dataset = Dataset(local(self.dataset))
@@ -100,7 +100,7 @@ class Card:
 
 
 def write_card(dataset: Dataset, *, title: str = "", license: str = "unknown", repo: str = "user/name") -> None:
-    """Writes ``README.md`` and ``card.jpg`` into a local dataset."""
+    """Write ``README.md`` and ``card.jpg`` into a local dataset."""
     from h3data.render.image_files import write_jpg
 
     root = Path(str(dataset.root))
@@ -115,7 +115,7 @@ def write_card(dataset: Dataset, *, title: str = "", license: str = "unknown", r
 
 # --- the text ---------------------------------------------------------------------------------------------------------
 def card_text(dataset: Dataset, *, title: str, license: str, repo: str, picture: bool = True) -> str:
-    """The card in Markdown."""
+    """Return the card in Markdown."""
     rows = dataset.rows
     steps, fps = sum(row["length"] for row in rows), dataset.schema.fps
     empty = sum(not row["length"] for row in rows)
@@ -191,7 +191,7 @@ def _front_matter(title: str, license: str, steps: int, tasks: Sequence[str]) ->
 
 
 def _figures(dataset: Dataset) -> list[str]:
-    """Metrics of the episodes, a table for each task; nothing where none of them has any, as in exports to LeRobot."""
+    """Return metrics of the episodes, a table for each task; nothing where none of them has any, as in exports to LeRobot."""
     from h3data.metrics.batch import measure_tables
     from h3data.metrics.requirements import UnmeasurableError
 
@@ -271,7 +271,7 @@ def _seeds(seeds: Iterable[int]) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 def card_picture(dataset: Dataset) -> NDArray[np.uint8] | None:
-    """Moments of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
+    """Return moments of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
     played = [row["episode_index"] for row in dataset.rows if row["length"]]
     if not played:
         return None
@@ -294,7 +294,7 @@ def _column(dataset: Dataset, index: int) -> NDArray[np.uint8]:
 
 
 def _step_that_shows_most(recording: Recording, cameras: Sequence[str]) -> int:
-    """The step at which most different things, agents above all, are in the pictures of some cameras."""
+    """Return the step at which most different things, agents above all, are in the pictures of some cameras."""
     from h3data.replay import Replay, camera_track
     from h3data.replay.cameras import camera_names
 
@@ -315,7 +315,7 @@ def _step_that_shows_most(recording: Recording, cameras: Sequence[str]) -> int:
 
 
 def _things_in(instances: NDArray[np.integer], agents: NDArray[np.int64]) -> int:
-    """Counts the things that a picture of ids [H, W] shows; ``agents`` has the agent of each id, -1 for things."""
+    """Count the things that a picture of ids [H, W] shows; ``agents`` has the agent of each id, -1 for things."""
     ids, pixels = np.unique(instances[instances >= 0], return_counts=True)
     of = agents[ids]
     things = (pixels[of < 0] >= SEEN_SHARE * instances.size).sum()
@@ -324,7 +324,7 @@ def _things_in(instances: NDArray[np.integer], agents: NDArray[np.int64]) -> int
 
 
 def _fitted(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The picture in the size of a cell, cut at the edges where its shape differs."""
+    """Return the picture in the size of a cell, cut at the edges where its shape differs."""
     import cv2
 
     height, width = picture.shape[:2]

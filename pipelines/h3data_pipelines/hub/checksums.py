@@ -18,7 +18,7 @@ _BLOCK = 8 << 20
 
 
 def files_of(root: Path) -> list[str]:
-    """Paths of all files of a dataset below its root, without leftovers of an interrupted writer and the checksums."""
+    """Return paths of all files of a dataset below its root, without leftovers of an interrupted writer and the checksums."""
     found = (path for part in PARTS for path in (root / part).rglob("*") if path.is_file())
     names = (path.relative_to(root).as_posix() for path in found if path.suffix != ".part")
     return sorted(name for name in names if name != FILE)
@@ -35,7 +35,7 @@ def to_json(checksums: Mapping[str, str]) -> bytes:
 
 
 def require_checksums(root: Path) -> int:
-    """Compares the files of a copy with the checksums that came along; returns their number, 0 if there are none.
+    """Compare the files of a copy with the checksums that came along; return their number, 0 if there are none.
 
     Raises:
         FormatError: files are missing or damaged; the message names them.

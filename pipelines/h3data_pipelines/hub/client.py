@@ -17,7 +17,7 @@ _TOKEN_HINT = "Hint: make a token at https://huggingface.co/settings/tokens, the
 
 
 def checked_repo(repo: str) -> str:
-    """The name of a dataset on the Hub, ``user/name``; its address and ``hf://datasets/user/name`` are taken too.
+    """Return the name of a dataset on the Hub, ``user/name``; its address and ``hf://datasets/user/name`` are taken too.
 
     Raises:
         InputError: it is something else.
@@ -45,7 +45,7 @@ def hub_api() -> Any:
 
 @contextmanager
 def hub_errors(repo: str, *, to: str) -> Iterator[None]:
-    """Turns errors of the Hub into an `InputError` that says what to do, and its progress bars off.
+    """Turn errors of the Hub into an `InputError` that says what to do, and its progress bars off.
 
     Args:
         repo: Name of the dataset.
@@ -70,7 +70,7 @@ def hub_errors(repo: str, *, to: str) -> Iterator[None]:
 
 
 def _explained(error: BaseException | None, to: str) -> str | None:
-    """Explains an error of huggingface_hub and what to do; None for other errors."""
+    """Explain an error of huggingface_hub and what to do; None for other errors."""
     from huggingface_hub import errors
 
     if isinstance(error, errors.LocalTokenNotFoundError):

@@ -12,12 +12,12 @@ FILE = "commands.json"
 
 
 def write_commands(root: AnyPath, commands: Sequence[str]) -> None:
-    """Keeps the commands, the first one first."""
+    """Keep the commands, the first one first."""
     write_atomic(root / "h3" / FILE, json.dumps({"commands": list(commands)}, indent=1, ensure_ascii=False).encode())
 
 
 def read_commands(root: AnyPath) -> list[str]:
-    """The commands that made a dataset; none if nothing is known."""
+    """Return the commands that made a dataset; none if nothing is known."""
     try:
         found = json.loads((root / "h3" / FILE).read_bytes())["commands"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

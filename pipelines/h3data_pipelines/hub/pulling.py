@@ -31,7 +31,7 @@ _BESIDE = ("README.md", "card.jpg")
 
 @suggest_keywords
 def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = False) -> Path:
-    """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
+    """Download a dataset from the Hugging Face Hub; options as of ``h3data pull``.
 
     Returns:
         The dataset's folder.
@@ -67,7 +67,7 @@ class Pull:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Downloads the dataset and returns its number of episodes and its size."""
+        """Download the dataset and return its number of episodes and its size."""
         from h3data.recording import Dataset
 
         repo, out, api = checked_repo(self.repo), local(self.out), hub_api()
@@ -115,7 +115,7 @@ class Pull:
 
 
 def _download(api: Any, repo: str, commit: str, names: Sequence[str], folder: Path) -> None:
-    """Downloads files into ``folder``, those that are there already excepted; files of another version are removed."""
+    """Download files into ``folder``, those that are there already excepted; files of another version are removed."""
     for path in folder.rglob("*") if folder.exists() else ():
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not name.startswith(".cache/") and name not in names:
@@ -135,7 +135,7 @@ def _download(api: Any, repo: str, commit: str, names: Sequence[str], folder: Pa
 
 
 def _read_all(dataset: Any) -> int:
-    """Reads every episode of a dataset that came without checksums: its own are checked on the way."""
+    """Read every episode of a dataset that came without checksums: its own are checked on the way."""
     for _ in progress(dataset, total=len(dataset), desc="check", unit="episode"):
         pass
     return len(dataset)

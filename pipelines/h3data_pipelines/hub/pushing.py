@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 VERSION_TAG = "v3.0"
 """LeRobot loads the revision that is tagged with the version of its format."""
 _BATCH = 16
-"""Files uploaded between two updates of the progress bar."""
+"""Number of files uploaded between two updates of the progress bar."""
 
 
 @suggest_keywords
 def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "", env: FilePath | None = None) -> str:
-    """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
+    """Upload a dataset to the Hugging Face Hub; options as of ``h3data push``.
 
     Returns:
         Its address.
@@ -75,7 +75,7 @@ class Push:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Uploads the dataset, with a card if it has none, and returns its address."""
+        """Upload the dataset, with a card if it has none, and return its address."""
         from h3data.recording import Dataset
 
         dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)
@@ -155,7 +155,7 @@ def _deletions(api: Any, repo: str, names: set[str]) -> list[Any]:
 
 
 def _tag(api: Any, repo: str) -> None:
-    """Moves the tag by which LeRobot finds datasets of its version to the latest commit."""
+    """Move the tag by which LeRobot finds datasets of its version to the latest commit."""
     from huggingface_hub.errors import HfHubHTTPError
 
     with suppress(HfHubHTTPError):  # there was none

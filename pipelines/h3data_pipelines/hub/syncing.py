@@ -34,7 +34,7 @@ _WRITER = "h3/writer"
 
 @suggest_keywords
 def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
-    """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
+    """Copy a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
 
     Returns:
         The location of the copy.
@@ -111,7 +111,7 @@ class Sync:
         return Outcome(text=f"copied {amount}{gone}: {target}", data=data, result=target)
 
     def _to_copy(self, source: AnyPath, target: AnyPath, sizes: dict[str, int], there: dict[str, int]) -> list[str]:
-        """Names of files that the target lacks or has otherwise."""
+        """Return names of files that the target lacks or has otherwise."""
         alike = [name for name in sizes if there.get(name) == sizes[name]]
         changed = {name for name in sizes if there.get(name) != sizes[name]}
         if not self.quick:
@@ -126,13 +126,13 @@ class Sync:
 
 
 def _delete(target: AnyPath, names: list[str]) -> None:
-    """Deletes files, the tables that list episodes before the data."""
+    """Delete files, the tables that list episodes before the data."""
     for name in sorted(names, key=_rank, reverse=True):
         (target / name).unlink()
 
 
 def _copy(source: AnyPath, target: AnyPath, names: list[str], info: bytes | None) -> None:
-    """Copies files; ``info`` is info.json as it was before the source was listed."""
+    """Copy files; ``info`` is info.json as it was before the source was listed."""
     kept = "whole files of the copy are kept: the same command goes on"
     with keeping(lambda: kept), progress(total=len(names), desc="copy", unit="file") as bar:
         for rank in range(4):
@@ -150,7 +150,7 @@ def _copy(source: AnyPath, target: AnyPath, names: list[str], info: bytes | None
 
 
 def _copy_file(source: AnyPath, target: AnyPath, name: str, info: bytes | None) -> None:
-    """Copies a file and reads the copy again.
+    """Copy a file and read the copy again.
 
     Raises:
         FormatError: it arrived otherwise than it was sent.
@@ -185,7 +185,7 @@ def _read(path: AnyPath) -> bytes | None:
 
 
 def _belongs(name: str) -> bool:
-    """Returns whether a file is part of a dataset: not what a writer has not finished, and not the writer's mark."""
+    """Return whether a file is part of a dataset: not what a writer has not finished, and not the writer's mark."""
     parts = PurePosixPath(name).parts
     return name != _WRITER and not name.endswith(".part") and not any(part.startswith(".") for part in parts)
 
@@ -206,7 +206,7 @@ def _same_place(source: AnyPath, target: AnyPath) -> bool:
 
 
 def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], sizes: dict[str, int]) -> None:
-    """Refuses a target that is anything but an earlier copy of the source.
+    """Refuse a target that is anything but an earlier copy of the source.
 
     Raises:
         InputError: it holds other files, or other episodes.

@@ -40,7 +40,7 @@ class CameraLog:
                 ) from None
 
     def made_of(self, track: CameraTrack, target: Target) -> str:
-        """A digest of everything that an output depends on."""
+        """Return a digest of everything that an output depends on."""
         camera = _intrinsics(track)
         things = [own_version(), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
         things += [] if self._replay.people == "skin" else [self._replay.people]
@@ -53,7 +53,7 @@ class CameraLog:
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
-        """Returns whether the output is there, complete and made of the same things."""
+        """Return whether the output is there, complete and made of the same things."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         entry = outputs.get(target.output, {}) if isinstance(outputs, Mapping) else {}
         return entry.get("made_of") == self.made_of(track, target) and target.path.exists()

@@ -58,7 +58,7 @@ class CrossPlayTable:
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """A table for each metric, followed by the paper's rows; a sentence if there are no results."""
+        """Return a table for each metric, followed by the paper's rows; a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         blocks = [
@@ -83,7 +83,7 @@ class CrossPlayTable:
         return SeedsSummary(each={name: cell for name, cell in found.items() if cell is not None})
 
     def to_dict(self) -> dict[str, Any]:
-        """The table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
         pooled = [
             {
                 "metric": metric.name,
@@ -111,7 +111,7 @@ class CrossPlayTable:
 def cross_play_table(
     rows: Iterable[Row], zsc: Sequence[str] = (), seeds: Mapping[str, Sequence[str]] | None = None
 ) -> CrossPlayTable:
-    """Returns the table of many results.
+    """Return the table of many results.
 
     Args:
         rows: One for each robot, partner and episode.

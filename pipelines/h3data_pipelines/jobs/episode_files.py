@@ -51,7 +51,7 @@ class MissingEpisodes(Protocol):
 
 
 def notes_on(made: MissingEpisodes) -> str:
-    """Lines on what a file lacks, each after a line break."""
+    """Return lines on what a file lacks, each after a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
         lines += [f"{word} {text}" for text in texts[:_SHOWN]]
@@ -85,7 +85,7 @@ class EpisodeRequest(Protocol):
 
     @property
     def allow_missing(self) -> bool:
-        """Returns whether scenes may lack assets."""
+        """Return whether scenes may lack assets."""
         ...
 
     @property
@@ -100,7 +100,7 @@ class EpisodeRequest(Protocol):
 
 
 def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: tuple[str, ...]) -> FileJobs:
-    """The episodes of ``request``, which cannot name both a file and scenes other than the default ones.
+    """Return the episodes of ``request``, which cannot name both a file and scenes other than the default ones.
 
     Raises:
         FormatError, InputError, SceneError: see `file_jobs` and `make_jobs`.
@@ -122,7 +122,7 @@ def file_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> FileJobs:
-    """The first ``episodes`` episodes of an episode file that the task can play.
+    """Return the first ``episodes`` episodes of an episode file that the task can play.
 
     ``seed`` decides what the file leaves to chance: the starts in Habitat's own files.
 
@@ -228,7 +228,7 @@ def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
 
 # --- writing ----------------------------------------------------------------------------------------------------------
 def claim_episode_file(path: Path, *, force: bool) -> None:
-    """Refuses a file that exists or is not called like an episode file."""
+    """Refuse a file that exists or is not called like an episode file."""
     if not path.name.endswith((".json.gz", ".json")):
         raise InputError(
             f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}", code="H3-JOB-014"
@@ -237,7 +237,7 @@ def claim_episode_file(path: Path, *, force: bool) -> None:
 
 
 def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
-    """Writes the episodes of jobs as a file that `file_jobs` makes the same ones of; returns why others are left out.
+    """Write the episodes of jobs as a file that `file_jobs` makes the same ones of; return why others are left out.
 
     Raises:
         SceneError: none can be sampled.

@@ -24,13 +24,13 @@ class EpisodePart:
     """Job that the part belongs to; within a job, each process looks below the paths once."""
 
     def sources(self) -> Sequence[StoredEpisode]:
-        """The episodes of this part."""
+        """Return the episodes of this part."""
         found = _found(self.paths, self.job)
         return [found[index] for index in self.indices]
 
 
 def episode_parts(paths: Sequence[AnyPath], *, together: int) -> list[EpisodePart]:
-    """All episodes below paths in parts of ``together``, in order.
+    """Return all episodes below paths, in order, in parts of at most ``together`` episodes.
 
     Raises:
         InputError: there is no such path, or nothing below it.

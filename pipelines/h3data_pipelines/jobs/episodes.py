@@ -122,7 +122,7 @@ class Job:
         return self._cast(task.sample(scene, free, self.seed, spec, roster))
 
     def _cast(self, episode: Episode) -> Episode:
-        """The episode, without its robots if the policy is `SOLO`."""
+        """Return the episode, without its robots if the policy is `SOLO`."""
         people = (k for k, member in enumerate(episode.roster) if member.kind == "human")
         return episode.only(*people) if self.policy == SOLO else episode
 
@@ -197,7 +197,7 @@ class Choices:
         return with_options(base, rules=self.rules, human_speed=self.human_speed, **overrides)
 
     def job(self, drawn: SampledEpisode, **more: Any) -> Job:
-        """The job of one sampled episode."""
+        """Return the job of one sampled episode."""
         given = {"human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
         if "spec" not in given:
             given["spec"] = self.spec()
@@ -230,7 +230,7 @@ class Choices:
         return (body or "") + motion if motion else body
 
     def _agents(self, seed: int) -> tuple[str, ...] | None:
-        """The roster; of tasks that may have many people, with a body for each of them."""
+        """Return the roster; of tasks that may have many people, with a body for each of them."""
         from sim_kinematic.agents.roster import HUMAN_BODY, with_motion
 
         motion, agents = self._motion, self.agents
@@ -243,7 +243,7 @@ class Choices:
 
 
 def with_skills(choices: Choices, skills: str) -> Choices:
-    """Rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
+    """Return rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.
@@ -279,7 +279,7 @@ class SampledEpisode:
 def check_numbers(
     *, episodes: int | None, homes: int, max_steps: int | None, seed: int, human_speed: float | None
 ) -> None:
-    """Checks the numbers among the options of a job.
+    """Check the numbers among the options of a job.
 
     Raises:
         InputError: a number is out of range; the message names its option.
@@ -308,7 +308,7 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
+    """Return episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
 
     Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
@@ -367,7 +367,7 @@ class SampledJobs(Sequence[Job]):
 
 
 def scenes_of(jobs: Sequence[Job]) -> list[str]:
-    """Names of the scenes, in the order in which they are first played."""
+    """Return names of the scenes, in the order in which they are first played."""
     return list(dict.fromkeys(job.scene for job in (jobs.one_round if isinstance(jobs, SampledJobs) else jobs)))
 
 
@@ -395,7 +395,7 @@ def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int
 
 
 def refuse_beside(option: str, **given: bool) -> None:
-    """Refuses options that a stored episode decides already."""
+    """Refuse options that a stored episode decides already."""
     for name, is_given in given.items():
         if is_given:
             raise InputError(
@@ -457,17 +457,17 @@ def checked(choices: Choices) -> Choices:
 
 
 def dataset_rules(task: Task) -> Any:
-    """The rules of a task's datasets, where the user asks for no others."""
+    """Return the rules of a task's datasets, where the user asks for no others."""
     return task.Spec() if task.usage.dataset_rules is None else task.usage.dataset_rules
 
 
 def _named_default(task: Task, kind: str) -> str | None:
-    """The default policy of a kind, where jobs of the task name it."""
+    """Return the default policy of a kind, where jobs of the task name it."""
     return task.defaults.get(kind) if kind in task.usage.named_kinds else None
 
 
 def stored_person(name: str) -> str:
-    """The name of a person by which episodes are known: a motion by its digest, not by its path."""
+    """Return the name of a person by which episodes are known: a motion by its digest, not by its path."""
     from h3data.bodies.names import JOIN
 
     if JOIN not in name:
@@ -478,7 +478,7 @@ def stored_person(name: str) -> str:
 
 
 def sampled_body(choice: str, seed: int, person: int = 0) -> str:
-    """The body that an episode samples for one of its people: ``any`` of the twelve adults, or a ``random`` one."""
+    """Return the body that an episode samples for one of its people: ``any`` of the twelve adults, or a ``random`` one."""
     from h3data.bodies.people.humanoid_file import ADULTS
     from h3data.bodies.people.random_humanoid import PREFIX
     from sim_kinematic.motion.randomness import generator
@@ -490,7 +490,7 @@ def sampled_body(choice: str, seed: int, person: int = 0) -> str:
 
 
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
-    """Returns the number of existing episodes to play: all of them, or as many as are wanted."""
+    """Return the number of existing episodes to play: all of them, or as many as are wanted."""
     if there < 1:
         raise InputError(f"There are no episodes in {label}.", code="H3-JOB-022")
     if wanted is not None and wanted > there:

@@ -73,11 +73,11 @@ class EvaluationRequest:
     """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in their order; empty: any."""
 
     def jobs(self) -> list[Evaluation]:
-        """All episodes, or an `InputError` that names the bad option."""
+        """Return all episodes, or an `InputError` that names the bad option."""
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """All episodes, and what a file lacks; an `InputError` names the bad option."""
+        """Return all episodes, and what a file lacks; an `InputError` names the bad option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
@@ -152,7 +152,7 @@ class EvaluationResult:
     """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
-    """Episodes played now; the others were there."""
+    """Number of episodes played now; the others were there."""
     failed: tuple[str, ...]
     """Pairs that raised: episode, seed, names and error."""
     left_out: tuple[str, ...] = ()
@@ -164,11 +164,11 @@ class EvaluationResult:
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
-        """The tables, and what failed."""
+        """Return the tables, and what failed."""
         return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed) + notes_on(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON types."""
+        """Return the result as JSON types."""
         return {
             "episodes": self.episodes,
             "new": self.new,
@@ -192,7 +192,7 @@ def evaluate_task(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> EvaluationResult:
-    """Plays every policy with every partner in the same episodes, and writes results, tables and recordings to ``out``.
+    """Play every policy with every partner in the same episodes, and write results, tables and recordings to ``out``.
 
     Episodes whose results are in ``out`` already are not played again.
 

@@ -44,7 +44,7 @@ class Evaluation:
 
 
 def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
-    """Plays one episode with every pair of policies; returns their metrics and the recordings to store.
+    """Play one episode with every pair of policies; return their metrics and the recordings to store.
 
     A pair, or an episode, that raises an error is listed as failed. Partners with the same plan share a recording,
     whose ``info["partners"]`` names them.
@@ -107,12 +107,12 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
 
 
 def failed_evaluation(job: Evaluation, fault: Exception) -> dict[str, Any]:
-    """The results of an episode of which nothing could be played."""
+    """Return the results of an episode of which nothing could be played."""
     return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
 
 
 def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Recording:
-    """The recording with the names under which the table lists it, but no address, which means nothing later."""
+    """Return the recording with the names under which the table lists it, but no address, which means nothing later."""
     from sim_kinematic.policies.assignment import is_address
 
     named = {} if is_address(policy) else {"policy": policy}
@@ -128,7 +128,7 @@ def episode_uid(task: Task, episode: Episode) -> str:
 
 
 def check_identity(task: Task, episode: Episode, uid: str) -> None:
-    """Compares an episode with the one of a benchmark's list.
+    """Compare an episode with the one of a benchmark's list.
 
     Raises:
         InputError: it is another one.
@@ -157,7 +157,7 @@ def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def plan_of(task: Any, episode: Any, partner: str | None) -> str:
-    """The name by which a partner plays this episode: the plan of one that follows a plan."""
+    """Return the name by which a partner plays this episode: the plan of one that follows a plan."""
     if partner is None:
         return ""
     from sim_kinematic.policies.assignment import make_policy
@@ -168,7 +168,7 @@ def plan_of(task: Any, episode: Any, partner: str | None) -> str:
 
 
 def files_of(policy: str) -> tuple[str, ...]:
-    """Names of the policies that match ``weights:PATTERN``, in the order of their paths; any other name alone.
+    """Return names of the policies that match ``weights:PATTERN``, in the order of their paths; any other name alone.
 
     A pattern has ``*``, ``?`` or ``[...]`` as in a shell, ``**`` for any folders; a file of that very name comes first.
 
@@ -187,7 +187,7 @@ def files_of(policy: str) -> tuple[str, ...]:
 
 
 def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
-    """Names of policies that an option asks for.
+    """Return names of policies that an option asks for.
 
     ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
     of their weights.

@@ -31,7 +31,7 @@ def reason_of(fault: Exception) -> str:
 
 
 def failed_recording(job: Job, fault: Exception) -> Recording:
-    """The episode of a job that raised: no agents, no rows, the error in ``info["failed"]``."""
+    """Return the episode of a job that raised: no agents, no rows, the error in ``info["failed"]``."""
     name = f"h3data:failed:{json.dumps(job.to_json())}"
     return Recording(
         episode=Episode(

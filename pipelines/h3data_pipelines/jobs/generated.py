@@ -67,7 +67,7 @@ class WrittenDataset:
 
 
 def first_played(writer: DatasetWriter) -> Recording | None:
-    """An episode of a dataset to go on with that did not fail."""
+    """Return an episode of a dataset to go on with that did not fail."""
     from h3data.recording import Dataset
 
     if not len(writer):
@@ -88,7 +88,7 @@ def whose(job: Job) -> str:
 
 
 def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
-    """Refuses to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
+    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import shard_files
 
@@ -116,7 +116,7 @@ def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Seque
 
 
 def _differences(was: Mapping[str, Any], wanted: Mapping[str, Any], group: str = "") -> list[str]:
-    """Returns the options that have changed, each as ``spec.max_steps was 30, is 60``."""
+    """Return the options that have changed, each as ``spec.max_steps was 30, is 60``."""
     found = []
     for name in dict.fromkeys((*wanted, *was)):
         before, value = was.get(name), wanted.get(name)

@@ -47,7 +47,7 @@ class ImportedFile:
     """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The file as JSON types."""
+        """Return the file as JSON types."""
         facts = {"source": str(self.source), "status": self.status, "kind": self.kind}
         facts |= {"recording": str(self.recording)} if self.recording else {}
         facts |= {"reason": self.reason} if self.reason else {}
@@ -63,7 +63,7 @@ class ImportResult:
     """Rows of the manifest that fit nothing, recordings that no row fits, columns without a meaning."""
 
     def count(self, status: str) -> int:
-        """Number of files with a status."""
+        """Return the number of files with a status."""
         return sum(file.status == status for file in self.files)
 
 
@@ -78,7 +78,7 @@ def import_files(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Imports files and folders of files as MCAP recordings in the folder ``out``.
+    """Import files and folders of files as MCAP recordings in the folder ``out``.
 
     A single file that cannot be imported raises; of several, the others are imported and it is listed.
 
@@ -121,7 +121,7 @@ def _kept(files: Sequence[ImportedFile], out: Path) -> str:
 
 
 def _is_imported(recording: Recording, target: Path) -> bool:
-    """Returns whether a file holds this very recording, of an import that was interrupted."""
+    """Return whether a file holds this very recording, of an import that was interrupted."""
     from h3data.recording import read_mcap, recordings_equal
 
     try:
@@ -170,7 +170,7 @@ class _Importer:
         self._strangers: list[str] = []
 
     def attempt(self, job: ImportJob) -> ImportedFile:
-        """Imports as `run` does, but reports files that cannot be imported in the result."""
+        """Import as `run` does, but reports files that cannot be imported in the result."""
         kind, status = "unknown", "failed"
         try:
             file = SourceFile(job.source)
@@ -187,7 +187,7 @@ class _Importer:
             return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error), code=error.code)
 
     def run(self, job: ImportJob) -> ImportedFile:
-        """Imports one file.
+        """Import one file.
 
         Raises:
             H3DataError: it cannot be imported.
@@ -196,7 +196,7 @@ class _Importer:
         return self._import(file, detect(file), job)
 
     def manifest_notes(self) -> list[str]:
-        """Returns notes on manifest rows and recordings that have no counterpart."""
+        """Return notes on manifest rows and recordings that have no counterpart."""
         if self._manifest is None:
             return []
         notes, name = [], self._manifest.path.name
@@ -255,12 +255,12 @@ class _Importer:
 
 
 def _is_bag(file: Path) -> bool:
-    """Returns whether a file stands for its folder, a bag of ROS 2, whose name the recording gets."""
+    """Return whether a file stands for its folder, a bag of ROS 2, whose name the recording gets."""
     return file.name == "metadata.yaml"
 
 
 def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
-    """Every file with the recording that it becomes; files of a folder keep their place below it."""
+    """Return every file with the recording that it becomes; files of a folder keep their place below it."""
     if not paths:
         raise InputError("Expected at least one file or folder to import.", code="H3-BODY-129")
     jobs: list[ImportJob] = []

@@ -48,12 +48,12 @@ class PolicyTable:
         return "\n".join([aligned(lines), legend(shown), *more, *source, *deviation_lines(self.deviations)])
 
     def _columns(self) -> list[Metric]:
-        """The metrics that fit a terminal: of profiles with many, those of the report's main table."""
+        """Return the metrics that fit a terminal: of profiles with many, those of the report's main table."""
         metrics, main = list(self.profile.metrics), self.profile.report.columns
         return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
-        """The table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
         cells = [
             {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
         ]
@@ -77,7 +77,7 @@ class PolicyTable:
 def policy_table(
     profile: Profile, rows: Iterable[dict[str, Any]], seeds: Mapping[str, Sequence[str]] | None = None
 ) -> PolicyTable:
-    """Returns a table of the results of `h3data_pipelines.jobs.evaluations.play_evaluation`.
+    """Return a table of the results of `h3data_pipelines.jobs.evaluations.play_evaluation`.
 
     ``seeds`` names the policies, such as training runs with different seeds, that are combined into one row.
     """

@@ -39,7 +39,7 @@ R = TypeVar("R")
 
 
 def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> None:
-    """Checks options before an evaluation begins.
+    """Check options before an evaluation begins.
 
     Raises:
         InputError: the executor or number of workers is invalid, or both ``resume`` and ``force`` are set.
@@ -64,7 +64,7 @@ def results_of(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """The results of all jobs, in their order, and how many were new. Those that are in the folder are not played again.
+    """Return the results of all jobs, in their order, and how many were new. Those that are in the folder are not played again.
 
     Args:
         jobs: Jobs, one for each episode.
@@ -121,7 +121,7 @@ def _kept(files: Iterable[Path], out: Path) -> str:
 
 
 def write_table(out: Path, text: str, data: dict[str, Any]) -> None:
-    """Writes the table of all results, for people and for programs."""
+    """Write the table of all results, for people and for programs."""
     write_text(out / "table.txt", text + "\n")
     write_text(out / "table.json", json.dumps(data, indent=2) + "\n")
 
@@ -141,7 +141,7 @@ class NoProgress:
 
 
 def _is_done(file: Path, job: EpisodeJob) -> bool:
-    """Returns whether the results of this very job are there, none of them failed; others' are refused."""
+    """Return whether the results of this very job are there, none of them failed; others' are refused."""
     if not file.is_file():
         return False
     try:

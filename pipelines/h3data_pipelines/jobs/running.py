@@ -38,13 +38,13 @@ def simulate_job(job: Job) -> Recording:
 
 
 def _with_job(recording: Recording, job: Job) -> Recording:
-    """The recording with what it was made of."""
+    """Return the recording with what it was made of."""
     origin = {} if job.origin is None else {"origin": job.origin}
     return with_info(recording, job=job.to_json(), **origin)
 
 
 def with_info(recording: Recording, **entries: Any) -> Recording:
-    """The recording with further entries of its info."""
+    """Return the recording with further entries of its info."""
     return replace(recording, episode=replace(recording.episode, info={**recording.episode.info, **entries}))
 
 
@@ -54,7 +54,7 @@ class VideoJob:
 
     cameras: tuple[str, ...]
     threads: int
-    """Threads that render, in each process."""
+    """Number of threads that render, in each process."""
     people: PeopleStyle = "skin"
     light: LightMode = "baked"
     backend: Literal["auto", "cpu", "gpu"] = "cpu"

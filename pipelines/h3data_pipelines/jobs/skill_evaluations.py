@@ -73,7 +73,7 @@ class SkillEvaluationResult:
         return found
 
     def to_text(self) -> str:
-        """The table, and what failed."""
+        """Return the table, and what failed."""
         lines = [f"{'skill':6} {'episodes':>8}  {'success':20} {'steps':>6} {'path m':>7} {'contact':>8}  failures"]
         for row in self.summary():
             least, most = row["interval"]
@@ -87,12 +87,12 @@ class SkillEvaluationResult:
         return "\n".join([*lines, *(f"failed {line}" for line in self.failed)])
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON types."""
+        """Return the result as JSON types."""
         return {"skills": self.skills, "table": self.summary(), "failed": list(self.failed), "new": self.new}
 
 
 def judge_episode(job: SkillJob) -> dict[str, Any]:
-    """The outcome of every learned skill in one episode; an episode that raises is listed as failed."""
+    """Return the outcome of every learned skill in one episode; an episode that raises is listed as failed."""
     from h3data_pipelines.skill_judging import action_of, judge
     from sim_kinematic.motion.randomness import generator
     from sim_kinematic.policies.skills.names import skills_of
@@ -116,7 +116,7 @@ def judge_episode(job: SkillJob) -> dict[str, Any]:
 
 
 def lost_episode(job: SkillJob, fault: Exception) -> dict[str, Any]:
-    """The result of an episode that could not be played."""
+    """Return the result of an episode that could not be played."""
     return {"job": job.to_json(), "rows": [], "failed": reason_of(fault)}
 
 
@@ -130,7 +130,7 @@ def evaluate_skills(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> SkillEvaluationResult:
-    """Evaluates every learned skill in the same episodes, and writes results and a table to ``out``.
+    """Evaluate every learned skill in the same episodes, and write results and a table to ``out``.
 
     Episodes that have results already are not played again.
 

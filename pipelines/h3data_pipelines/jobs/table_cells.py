@@ -21,19 +21,19 @@ SEEDS_HEAD = "; of seeds mean ± standard deviation"
 
 
 def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
-    """Returns the mean of the defined values with its 95% interval; None stands for undefined."""
+    """Return the mean of the defined values with its 95% interval; None stands for undefined."""
     defined = np.array([np.nan if v is None else v for v in values], np.float64)
     return summarize_all([metric], {metric.name: defined})[metric.name]
 
 
 def cell_dict(cell: Summary) -> dict[str, float | None]:
-    """Returns mean, interval and number of episodes as JSON types."""
+    """Return mean, interval and number of episodes as JSON types."""
     ends = {name: or_none(value) for name, value in (("mean", cell.mean), ("low", cell.low), ("high", cell.high))}
     return {**ends, "episodes": cell.count}
 
 
 def or_none(value: float) -> float | None:
-    """Returns the value as JSON has it: None for NaN."""
+    """Return the value as JSON has it: None for NaN."""
     return None if np.isnan(value) else value
 
 
@@ -67,7 +67,7 @@ class SeedsSummary:
         return f"{factor * self.mean:.{digits}f}{spread}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the summary as JSON types; NaN becomes None."""
+        """Return the summary as JSON types; NaN becomes None."""
         return {
             "mean": or_none(self.mean),
             "deviation": or_none(self.deviation),
@@ -76,12 +76,12 @@ class SeedsSummary:
 
 
 def row_name(pattern: str, policies: Sequence[str]) -> str:
-    """Returns the name of the row of several policies."""
+    """Return the name of the row of several policies."""
     return f"{pattern} ({len(policies)} seeds)"
 
 
 def rows_of(policies: Sequence[str], seeds: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Rows of a table by name, each with its policies: one of several in the place of the first of them."""
+    """Return rows of a table by name, each with its policies: one of several in the place of the first of them."""
     rows: dict[str, tuple[str, ...]] = {}
     of = {policy: pattern for pattern, members in seeds.items() for policy in members}
     for policy in policies:

@@ -89,7 +89,7 @@ class ArmContact:
 
 
 def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, step: int, agent: int) -> list[Event]:
-    """An event ``contact`` for each pair that touches now and did not in the step ``before``, with its depth."""
+    """Return an event ``contact`` for each pair that touches now and did not in the step ``before``, with its depth."""
     known = {(t.part, t.thing) for t in before}
     return [
         Event(step=step, agent=agent, kind="contact", target=t.thing, detail=f"{t.part}, {t.depth_m:.3f} m")

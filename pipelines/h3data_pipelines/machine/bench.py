@@ -76,19 +76,19 @@ class Bench:
     bodies: tuple[str, ...] = ("skinned",)
     """skinned, or bones: people rendered as rigid capsules."""
     runs: int = 3
-    """Runs per row; the paper has 10."""
+    """Number of runs per row; the paper has 10."""
     steps: int = 300
-    """Steps per run; the first 10 are not timed."""
+    """Number of steps per run; the first 10 are not timed."""
     backend: Literal["cpu", "gpu"] = "cpu"
     """Renderer. gpu: one process with all worlds."""
     cores: int | None = None
-    """Processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
+    """Number of processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
     seed: int = 0
     """Seed of all random numbers."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Runs the benchmark and returns steps per second for each setting, with the paper's numbers."""
+        """Run the benchmark and return steps per second for each setting, with the paper's numbers."""
         cells = self.cells()
         cores = self.processes()
         if self.backend == "gpu":
@@ -105,7 +105,7 @@ class Bench:
         return Outcome(text=text, data=data)
 
     def cells(self) -> list[Cell]:
-        """Rows to measure; an `InputError` names a bad option."""
+        """Return rows to measure; an `InputError` names a bad option."""
         from h3data_pipelines.machine.bench_protocol import UNTIMED, Cell
 
         if self.group != "sim":
@@ -140,7 +140,7 @@ class Bench:
         return cells
 
     def processes(self) -> int:
-        """Largest number of processes that share the worlds."""
+        """Return the largest number of processes that share the worlds."""
         if self.cores is not None and self.cores < 1:
             raise InputError(f"--cores must be at least 1, got {self.cores}.", code="H3-MACHINE-008")
         if self.backend == "gpu":
@@ -161,7 +161,7 @@ class Pool:
         self._executors: dict[int, ProcessPoolExecutor] = {}
 
     def run(self, shares: list[int], cell: Cell, **options: Any) -> list[list[Run]]:
-        """Results of each process; ``shares`` are the numbers of worlds of each."""
+        """Return results of each process; ``shares`` are the numbers of worlds of each."""
         if len(shares) == 1:
             return [_run_share(cell, shares[0], **options)]
         executor = self._executor(len(shares))
@@ -177,7 +177,7 @@ class Pool:
         return self._executors[count]
 
     def close(self) -> None:
-        """Stops all processes."""
+        """Stop all processes."""
         for executor in self._executors.values():
             executor.shutdown(cancel_futures=True)
 
@@ -203,7 +203,7 @@ def _meet_at(barrier: Any) -> None:
 def _run_share(
     cell: Cell, worlds: int, *, runs: int, steps: int, backend: Literal["cpu", "gpu"], seed: int
 ) -> list[Run]:
-    """Results of one process; several processes begin each run together."""
+    """Return results of one process; several processes begin each run together."""
     from h3data_pipelines.machine.bench_protocol import UNTIMED, BenchmarkWorlds
 
     try:
@@ -265,7 +265,7 @@ def hardware_name(backend: str = "cpu") -> str:
 
 
 def _check_gpu() -> None:
-    """Refuses a missing GPU at once, not after the home is built."""
+    """Refuse a missing GPU at once, not after the home is built."""
     import torch
 
     from h3data.errors import MissingExtraError

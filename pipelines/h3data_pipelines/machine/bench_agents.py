@@ -42,7 +42,7 @@ class RobotAgent:
     def __init__(
         self, robot: Robot, free: FreeSpace, state: WorldState, *, number: int, is_clear: Callable[[Array], bool]
     ) -> None:
-        """Connects the agent to the state of its worlds.
+        """Connect the agent to the state of its worlds.
 
         Args:
             robot: body of the robot.

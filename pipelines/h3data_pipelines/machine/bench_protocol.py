@@ -97,7 +97,7 @@ class BenchmarkWorlds:
         self.touched = np.zeros(self.worlds, np.bool_)
         """True if the two agents touch, [W], after the last step."""
         self.arm_touches = 0
-        """Contacts of arms with the home in the last step, all worlds."""
+        """Number of contacts of arms with the home in the last step, all worlds."""
 
     def _make_agents(self) -> list[Agent]:
         robot, human = load_robot(ROBOT), load_humanoid(HUMAN)
@@ -149,7 +149,7 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """Renders the view of each agent (or of the arm) in each world, by output, [agents * W, H, W', ...].
+        """Render the view of each agent (or of the arm) in each world, by output, [agents * W, H, W', ...].
 
         All worlds of the first agent come first.
         """
@@ -164,7 +164,7 @@ class BenchmarkWorlds:
         return self.drawn.picture(cameras, outputs)
 
     def _in_order(self) -> list[Agent]:
-        """The agents in the order of their numbers."""
+        """Return the agents in the order of their numbers."""
         return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:

@@ -47,7 +47,7 @@ class Cache:
 
 
 def find_caches() -> list[Cache]:
-    """All caches as they are now, by the names of `KINDS`."""
+    """Return all caches as they are now, by the names of `KINDS`."""
     return [_find(name) for name in KINDS]
 
 
@@ -84,7 +84,7 @@ class CacheList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns a table of the caches."""
+        """Return a table of the caches."""
         caches = find_caches()
         return Outcome(text="\n".join(cache_lines(caches)), data={cache.name: cache.row() for cache in caches})
 
@@ -103,7 +103,7 @@ class CacheClear:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Deletes the caches and returns how many bytes became free."""
+        """Delete the caches and return how many bytes became free."""
         for name in self.names:
             if name not in KINDS:
                 raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}", code="H3-MACHINE-011")
@@ -128,7 +128,7 @@ CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear
 
 
 def kept_files() -> list[Path]:
-    """Returns all files of numba's cache of our kernels, from every folder where numba may keep it.
+    """Return all files of numba's cache of our kernels, from every folder where numba may keep it.
 
     Those of earlier versions and other settings are included."""
     from numba.core import config

@@ -33,13 +33,13 @@ class Completion:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the completion script for a shell."""
+        """Return the completion script for a shell."""
         script = shtab.complete(_parser("h3data", self.commands), shell=self.shell)
         return Outcome(text=script, data={"shell": self.shell, "script": script})
 
 
 def _parser(prog: str, commands: Mapping[str, type[Command] | Group]) -> argparse.ArgumentParser:
-    """All commands as an `argparse.ArgumentParser`, which never parses: shtab reads names and choices off it."""
+    """Return all commands as an `argparse.ArgumentParser`, which never parses: shtab reads names and choices off it."""
     root = argparse.ArgumentParser(prog=prog)
     branches = root.add_subparsers()
     for name, command in commands.items():

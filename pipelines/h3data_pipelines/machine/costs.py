@@ -45,7 +45,7 @@ class Costs:
     """An episode in a dataset."""
 
     def to_json(self) -> dict[str, Any]:
-        """All costs by name, for JSON."""
+        """Return all costs by name, for JSON."""
         return asdict(self)
 
     @classmethod
@@ -64,7 +64,7 @@ class Costs:
 
 
 def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Costs:
-    """Measures a job of ``task`` in homes of the preset small; half a minute.
+    """Measure a job of ``task`` in homes of the preset small; half a minute.
 
     CPU time is not wall-clock time: other processes of this machine hardly change it.
     """

@@ -56,7 +56,7 @@ class Doctor:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Runs all checks and returns their results."""
+        """Run all checks and return their results."""
         checks = {
             "CPU renderer (numba)": _cpu_renderer,
             "compiled kernels": _kernels,
@@ -155,7 +155,7 @@ def _video() -> str:
 
 
 def _kernels() -> str:
-    """Returns whether kernels that came compiled fit this machine."""
+    """Return whether kernels that came compiled fit this machine."""
     from h3data.kernels import shipped
 
     folder = shipped.folder()

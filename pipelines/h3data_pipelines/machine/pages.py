@@ -40,7 +40,7 @@ class Docs:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the list of pages, or the text of one."""
+        """Return the list of pages, or the text of one."""
         pages = _pages()
         if not self.name:
             titles = {name: _title(path) for name, path in pages.items()}
@@ -74,7 +74,7 @@ class ErrorKind(NamedTuple):
 
 
 def error_kinds(page: str) -> list[ErrorKind]:
-    """The kinds of errors that the page of errors lists, in its order."""
+    """Return the kinds of errors that the page of errors lists, in its order."""
     return [ErrorKind(*cells) for cells in _rows(page, of=4) if re.fullmatch(r"H3-[A-Z]+-\d{3,}", cells[0])]
 
 
@@ -87,13 +87,13 @@ def _rows(page: str, *, of: int) -> Iterator[list[str]]:
 
 
 def _plain(cell: str) -> str:
-    """A cell of a table without its escapes; a name of code without its quotes."""
+    """Return a cell of a table without its escapes; a name of code without its quotes."""
     text = re.sub(r"\\([|*])", r"\1", cell).replace("&lt;", "<")
     return text[1:-1] if re.fullmatch(r"`\w+`", text) else text
 
 
 def _entry(code: str, page: str) -> Outcome:
-    """Returns the entry of a code on the page of errors."""
+    """Return the entry of a code on the page of errors."""
     kinds = {kind.code: kind for kind in error_kinds(page)}
     if code not in kinds:
         raise InputError(
@@ -121,7 +121,7 @@ _OF_SITE = ("index", "changes", "gallery")
 
 
 def _pages() -> dict[str, Path]:
-    """The files of all pages by name: ``metrics``, ``tutorials/first-table``."""
+    """Return the files of all pages by name: ``metrics``, ``tutorials/first-table``."""
     root = pages_root()
     found = sorted(path for pattern in ("*.md", "tutorials/*.md") for path in root.glob(pattern))
     return {path.relative_to(root).with_suffix("").as_posix(): path for path in found if path.stem not in _OF_SITE}
@@ -133,7 +133,7 @@ def _title(path: Path) -> str:
 
 
 def _address() -> list[str]:
-    """Returns the address of the documentation on the internet, if the package names one."""
+    """Return the address of the documentation on the internet, if the package names one."""
     try:
         urls = metadata("h3data").get_all("Project-URL") or []
     except PackageNotFoundError:

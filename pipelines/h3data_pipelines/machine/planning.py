@@ -35,9 +35,9 @@ class Plan:
     """social_nav, rearrange, wander, or an installed task."""
     episodes: int = 100_000
     cores: int = 1000
-    """Cores of the cluster; the table shows smaller numbers too."""
+    """Number of cores of the cluster; the table shows smaller numbers too."""
     datasets: int = 1
-    """Datasets into which the job is cut, each written by a command of its own."""
+    """Number of datasets into which the job is cut, each written by a command of its own."""
     scenes: int = 37
     """Different homes (h3-homes/train has 37)."""
     steps: float | None = None
@@ -55,7 +55,7 @@ class Plan:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the forecast for several numbers of cores, or the costs measured on this machine."""
+        """Return the forecast for several numbers of cores, or the costs measured on this machine."""
         for name in ("episodes", "cores", "datasets", "scenes"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.", code="H3-MACHINE-017")

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 AHEAD = 4
-"""Results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
+"""Number of results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
 MOST_SHARDS = 200_000
 """Number of shards of longer jobs that are simulated; the rest goes on at the pace of their second half."""
 
@@ -42,7 +42,7 @@ class Schedule:
 
 
 def simulate_schedule(load: Workload, workers: int, *, datasets: int = 1) -> Schedule:
-    """Plays the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
+    """Play the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
 
     Workers take shards in order. The writer of a job takes results in order, one at a time; when `AHEAD` results per worker
     wait for it, workers wait too.

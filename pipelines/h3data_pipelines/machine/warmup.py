@@ -40,7 +40,7 @@ class Warmup:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Compiles the kernels in parallel and returns how many there are and how long it took."""
+        """Compile the kernels in parallel and return how many there are and how long it took."""
         start, parts, files, came, compiled = time.perf_counter(), {}, {}, {}, 0
         _say(f"Compiling kernels on {counted(core_count(), 'core')}: about half a minute on two, once.\n")
         with ThreadPoolExecutor(core_count()) as pool:
@@ -78,7 +78,7 @@ def _say(line: str) -> None:
 
 @contextmanager
 def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | None]:
-    """Compiles the kernels of some of `WORK` in a process of its own while the block runs.
+    """Compile the kernels of some of `WORK` in a process of its own while the block runs.
 
     numba compiles in one thread of a process at a time. When this process needs a kernel that the other one is compiling,
     it waits for it (`h3data.kernels`). Where kernels come compiled (`h3data.kernels.shipped`), or those of pictures have been
@@ -117,7 +117,7 @@ def _run_apart(name: str) -> dict[str, Any]:
 
 
 def run(names: Sequence[str]) -> None:
-    """Does some of `WORK` in this process; prints the kernels that it has compiled and those that are there."""
+    """Do some of `WORK` in this process; print the kernels that it has compiled and those that are there."""
     with TemporaryDirectory() as folder:
         os.environ["H3DATA_CACHE"] = folder  # so that what others have cached is computed here too
         for name in names:

@@ -23,7 +23,7 @@ class Boxes(NamedTuple):
 
 
 def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
-    """Boxes around the visible pixels of each id in an instance or semantic image [H, W].
+    """Return boxes around the visible pixels of each id in an instance or semantic image [H, W].
 
     ``groups`` maps ids (0, 1, ...) to the id of the body that they belong to, e.g. the links of a robot to the robot; -1
     leaves an id out.
@@ -42,7 +42,10 @@ def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
 
 
 def visible_masks(ids: ArrayLike, wanted: ArrayLike, *, groups: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Masks [B, H, W] of the pixels where each of the ``wanted`` ids [B] is visible; ``groups`` as in `visible_boxes`."""
+    """Return masks [B, H, W] of the pixels where each of the ``wanted`` ids [B] is visible.
+
+    The argument ``groups`` is that of `visible_boxes`.
+    """
     return _grouped(ids, groups)[None] == np.asarray(wanted).reshape(-1, 1, 1)
 
 
@@ -65,7 +68,7 @@ def _grouped(ids: ArrayLike, groups: ArrayLike | None) -> NDArray[np.integer]:
 def draw_boxes(
     image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
 ) -> None:
-    """Draws boxes [B, 4] (see `visible_boxes`) with labels, in colours [B, 3]."""
+    """Draw boxes [B, 4] (see `visible_boxes`) with labels, in colours [B, 3]."""
     import cv2
 
     rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)

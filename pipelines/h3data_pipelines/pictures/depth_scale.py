@@ -9,7 +9,7 @@ from h3data.render.colors import depth_to_rgb
 
 
 def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
-    """Draws a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
+    """Draw a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
 
     It has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], with both numbers. Pictures smaller
     than 96 x 64 are not changed.

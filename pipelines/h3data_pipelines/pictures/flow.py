@@ -71,7 +71,7 @@ def optical_flow(
 
 
 def _index_of(ids_of_instances: NDArray[np.int32], ids: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Index of the instance with each id in an image; -1 in the background."""
+    """Return the index of the instance with each id in an image; -1 in the background."""
     order = np.argsort(ids_of_instances, kind="stable")
     place = np.searchsorted(ids_of_instances, ids, sorter=order) if len(order) else np.zeros(ids.shape, np.intp)
     return np.where(ids >= 0, order[np.minimum(place, len(order) - 1)] if len(order) else -1, -1)

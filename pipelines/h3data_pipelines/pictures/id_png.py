@@ -22,7 +22,7 @@ from h3data.kernels.vectors import INT64, intrinsic
 _UP = 2
 """Number of the filter, the first byte of each row."""
 _AT_ONCE = 16
-"""Pixels that are compared at once."""
+"""Number of pixels that are compared at once."""
 _END, _LONGEST = 256, 258
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -43,7 +43,7 @@ def _literal_sizes() -> NDArray[np.int64]:
 
 
 def _huffman(sizes: NDArray[np.int64]) -> list[int]:
-    """The code of each symbol (RFC 1951, 3.2.2), its first bit lowest."""
+    """Return the code of each symbol (RFC 1951, 3.2.2), its first bit lowest."""
     codes, code, before = [0] * len(sizes), 0, 0
     for symbol in sorted(range(len(sizes)), key=lambda k: (sizes[k], k)):
         code <<= int(sizes[symbol]) - before
@@ -54,7 +54,7 @@ def _huffman(sizes: NDArray[np.int64]) -> list[int]:
 
 
 def _joined(parts: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """Numbers of given sizes [bits] one after another, lowest bits first, and their size together."""
+    """Return numbers of given sizes [bits] one after another, lowest bits first, and their size together."""
     total = size = 0
     for number, bits in parts:
         total |= number << size
@@ -107,7 +107,7 @@ def id_png_bytes(ids: NDArray[np.uint16]) -> bytes:
 
 @kernel(boundscheck=False)
 def _deflate(ids, tables, out):
-    """Fills a zlib stream up to its checksum; returns its size and the checksum (Adler-32)."""
+    """Fill a zlib stream up to its checksum; return its size and the checksum (Adler-32)."""
     height, width = ids.shape
     literals, runs, start, start_bits = tables
     for k in range(len(start)):
@@ -189,7 +189,7 @@ def _difference(one, other):
 
 @kernel_part(forceinline=True)
 def _put(bits, count, at, out, code, size):
-    """Appends a code of up to 32 bits."""
+    """Append a code of up to 32 bits."""
     bits |= np.uint64(code) << np.uint64(count)
     count += size
     while count >= 8:
@@ -202,7 +202,7 @@ def _put(bits, count, at, out, code, size):
 
 @kernel_part()
 def _put_run(bits, count, at, out, runs, length, distance_code):
-    """Appends ``length`` bytes, 0 or at least 3, that repeat those 1 byte (``distance_code`` 0) or 2 bytes (1) back."""
+    """Append ``length`` bytes, 0 or at least 3, that repeat those 1 byte (``distance_code`` 0) or 2 bytes (1) back."""
     while length > 0:
         part = min(length, _LONGEST)
         if 0 < length - part < 3:
@@ -221,7 +221,7 @@ def _put_zeros(bits, count, at, out, literals, runs, number):
 
 @intrinsic
 def equal_pixels(typing_context, one_at, other_at):
-    """Number of leading 16-bit numbers, of the 16 at two addresses, that are equal."""
+    """Return the number of leading 16-bit numbers, of the 16 at two addresses, that are equal."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         kind = ir.VectorType(ir.IntType(16), _AT_ONCE)

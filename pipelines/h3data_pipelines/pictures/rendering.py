@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
-"""Steps between the points of a drawn trajectory: 0.2 s."""
+"""Number of steps between the points of a drawn trajectory: 0.2 s."""
 DEPTH_RANGE_M = (0.0, 10.0)
 
 
@@ -36,7 +36,7 @@ def render_files(
     frame_done: Callable[[], object] | None = None,
     backend: FrameBackend = "cpu",
 ) -> None:
-    """Renders ``steps`` from every camera into its targets.
+    """Render ``steps`` from every camera into its targets.
 
     ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each H.264 or AV1 video has
     one more thread that encodes. Few frames are in flight at a time, so memory stays constant. The files do not
@@ -93,13 +93,13 @@ class _InOrder:
         self._pending: list[Future[None]] = []
 
     def submit(self, item: Any) -> None:
-        """Queues an item, waiting while the queue is full; raises what ``work`` raised for an earlier item."""
+        """Queue an item, waiting while the queue is full; raise what ``work`` raised for an earlier item."""
         while len(self._pending) >= self._queue_length:
             self._pending.pop(0).result()
         self._pending.append(self._pool.submit(self._work, item))
 
     def finish(self) -> None:
-        """Waits until all items are done; raises what ``work`` raised."""
+        """Wait until all items are done; raise what ``work`` raised."""
         while self._pending:
             self._pending.pop(0).result()
 
@@ -117,7 +117,7 @@ def frames_per_second(replay: Replay, steps: range) -> float:
 
 
 def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, annotate: bool) -> ToPicture:
-    """Returns the conversion from a rendered image to the stored one."""
+    """Return the conversion from a rendered image to the stored one."""
     from h3data.render import depth_to_rgb, instance_to_rgb
     from h3data.render.image_files import depth_to_mm, stored_ids
     from h3data_pipelines.pictures.depth_scale import draw_depth_scale
@@ -162,7 +162,7 @@ def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
-    """Draws each agent's trajectory up to ``step`` and its name on ``image`` [H, W, 3], in place."""
+    """Draw each agent's trajectory up to ``step`` and its name on ``image`` [H, W, 3], in place."""
     from h3data.render.overlay import draw_label, draw_polyline
 
     camera = track.at(step)

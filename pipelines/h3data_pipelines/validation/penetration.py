@@ -91,7 +91,7 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
 
 
 def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
-    """Returns how deep the deepest part of any agent is in each step looked at, outside contact it intends, [T] [m]."""
+    """Return how deep the deepest part of any agent is in each step looked at, outside contact it intends, [T] [m]."""
     deepest = np.zeros(len(measured[0].steps) if measured else 0)
     for found in measured:
         deepest = np.maximum(deepest, found.unintended_m.max(1))
@@ -99,7 +99,7 @@ def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
 
 
 def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list[Finding]:
-    """Returns a warning for each part of an agent that is deeper than ``limit_m`` in something, outside contact it intends.
+    """Return a warning for each part of an agent that is deeper than ``limit_m`` in something, outside contact it intends.
 
     Recordings without a scene, or whose agents have no built-in body, yield none.
     """
@@ -130,7 +130,7 @@ def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list
 
 
 def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery: _Scenery) -> list[frozenset[str]]:
-    """Names of the things on which the object lies, or is to lie, that an agent picks or places in each step."""
+    """Return names of the things on which the object lies, or is to lie, that an agent picks or places in each step."""
     moving = {body.name: body.moving for body in recording.bodies}
     found = [frozenset[str]()] * len(steps)
     spans = [
@@ -219,7 +219,7 @@ def _deepest(
 def _held(
     replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery
 ) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
-    """Depth [T] and thing [T] of what the agent holds."""
+    """Return the depth [T] and thing [T] of what the agent holds."""
     recording, scene = replay.recording, replay.scene
     assert scene is not None
     depth, thing = np.zeros(len(steps)), np.full(len(steps), "", object)
@@ -275,11 +275,11 @@ class _Scenery:
         return depth, thing
 
     def supports(self, point: Array) -> set[str]:
-        """Names of the things on which something at a world point [3] lies."""
+        """Return names of the things on which something at a world point [3] lies."""
         return supports(self._scene, point)
 
     def _gap(self, a: int, cores: MovingShapes, b: int) -> float:
-        """Distance [m] from thing ``a`` to the core of capsule ``b``, not above 0 where it is inside."""
+        """Return the distance [m] from thing ``a`` to the core of capsule ``b``, not above 0 where it is inside."""
         import fcl
 
         pair = self._scene.objects[a], cores.objects[b]
@@ -287,10 +287,10 @@ class _Scenery:
 
 
 def _core(shape: Shape) -> Shape:
-    """A capsule made thin; other shapes stay."""
+    """Return a capsule made thin; other shapes stay."""
     return Capsule(start=shape.start, end=shape.end, radius=CORE_M) if isinstance(shape, Capsule) else shape
 
 
 def _way_out(thing: Array, part: Array) -> float:
-    """The shortest displacement [m] along a world axis that separates two overlapping boxes [2, 3]."""
+    """Return the shortest displacement [m] along a world axis that separates two overlapping boxes [2, 3]."""
     return float(np.minimum(part[1] - thing[0], thing[1] - part[0]).min())

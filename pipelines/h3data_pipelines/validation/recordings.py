@@ -86,7 +86,7 @@ class Finding:
 
 
 def validate_recording(recording: Recording, *, assets: AssetLibrary | None = None) -> list[Finding]:
-    """All faults of a recording, errors first; a recording without errors can be relied on.
+    """Return all faults of a recording, errors first; a recording without errors can be relied on.
 
     ``assets`` finds the files that a foreign recording refers to.
     """
@@ -313,7 +313,7 @@ def _jumps(rec: Recording) -> Iterator[Finding]:
 
 
 def _angles(quats: NDArray[Any]) -> NDArray[np.float64]:
-    """Angles [T-1, ...] [rad] between consecutive rotations [T, ..., 4]."""
+    """Return angles [T-1, ...] [rad] between consecutive rotations [T, ..., 4]."""
     q = quats.astype(np.float64)
     return 2 * np.arccos(np.clip(np.abs((q[1:] * q[:-1]).sum(axis=-1)), 0, 1))
 
@@ -378,7 +378,7 @@ class _Poses(PosedRecording):
 
 @lru_cache(maxsize=_SCENES_KEPT)
 def _scene_of(glb: bytes) -> Scene:
-    """A home, which the episodes of a dataset often have in common."""
+    """Return a home, which the episodes of a dataset often have in common."""
     return load_scene(glb)
 
 
@@ -474,6 +474,6 @@ def _warning(check: Check, subject: str, text: str, *, at: ArrayLike | None = No
 
 
 def _finding(check: Check, severity: Severity, subject: str, text: str, at: ArrayLike | None) -> Finding:
-    """A finding at the steps marked in ``at`` [T]."""
+    """Return a finding at the steps marked in ``at`` [T]."""
     step, count = (-1, 1) if at is None else (int(np.argmax(at)), int(np.sum(at)))
     return Finding(check=check, severity=severity, subject=subject, text=text, step=step, count=count)

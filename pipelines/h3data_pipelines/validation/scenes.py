@@ -108,7 +108,7 @@ def _islands(scene: Scene, islands: Sequence[BaseGeometry], loose: FreeSpace, ra
 def _standing_between(
     scene: Scene, first: BaseGeometry, second: BaseGeometry, floor: float, radius_m: float
 ) -> list[str]:
-    """Names of static furniture that an agent touches from both of two islands."""
+    """Return names of static furniture that an agent touches from both of two islands."""
     names = []
     for instance in scene.static_instances:
         if not len(scene.assets[instance.asset].mesh.vertices) or scene.assets[instance.asset].category == "wall":
@@ -191,7 +191,7 @@ def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
 
 
 def hull_fills_hollows(asset: Asset) -> bool:
-    """Returns whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
+    """Return whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
 
     True if less than `_HULL_SHARE` of the mesh's surface lies within 1 cm of the hull.
     """
@@ -252,7 +252,7 @@ def _sunk(surfaces: Sequence, thing: Instance, foot: NDArray[np.float64], top: f
 def _support(
     scene: Scene, boxes: Sequence[NDArray[np.float64]], thing: Instance, points: NDArray, low: NDArray
 ) -> float:
-    """Height of the highest surface below an object [m]; -inf if there is none.
+    """Return the height of the highest surface below an object [m]; -inf if there is none.
 
     Probed straight below the middle of the footprint and a ring of points on it.
     """

@@ -39,7 +39,7 @@ class Serve:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Serves until Ctrl-C."""
+        """Serve until Ctrl-C."""
         if not 0 <= self.port < 65536:
             raise InputError(f"Expected a --port from 0 to 65535, got {self.port}.", code="H3-REMOTE-013")
         from h3data_remote.adapter import read_adapter

@@ -59,7 +59,7 @@ class Goal:
 
 
 def find_goal(recording: Recording) -> Goal:
-    """Finds the goal of the first robot in an episode.
+    """Find the goal of the first robot in an episode.
 
     It is ``info["goal"]``, or ``goal`` in ``info["extra"]``, where `Episode.extra` is recorded: ``[x, z]`` or ``[x, y, z]`` in
     the world [m], or the number or the name of an agent. Without it, the goal of `social_nav` is the one person.

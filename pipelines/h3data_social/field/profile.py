@@ -43,7 +43,7 @@ GOAL = ("SPL", "STL", "T_goal")
 
 
 def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
-    """Returns the recording with a column ``metrics.robot_clearance``, which C_min and C_mean read.
+    """Return the recording with a column ``metrics.robot_clearance``, which C_min and C_mean read.
 
     It is the distance from the robot's centre to the nearest obstacle [m], 0 inside one, NaN where the robot has no pose.
     """
@@ -56,7 +56,7 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
 
 
 def compute_field(recording: Recording, notes: Notes) -> Computed:
-    """Computes all metrics of the first robot near all people; `Computed.human` is the one whom it comes nearest.
+    """Compute all metrics of the first robot near all people; `Computed.human` is the one whom it comes nearest.
 
     Without a robot and a person, the first agent is measured near all others, and a note names them.
     """
@@ -86,7 +86,7 @@ def compute_field(recording: Recording, notes: Notes) -> Computed:
 
 
 def nearest_of(distances: NDArray[np.float64]) -> int:
-    """Returns the column of the smallest of distances [T, P]; 0 if all are NaN."""
+    """Return the column of the smallest of distances [T, P]; 0 if all are NaN."""
     closest = np.fmin.reduce(distances, axis=0)
     return 0 if np.isnan(closest).all() else int(np.nanargmin(closest))
 
@@ -101,7 +101,7 @@ def _offsets(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def field_series(recording: Recording) -> Series:
-    """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0.
+    """Compute the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0.
 
     Distances and times to collision are to the nearest person, zones are that person's, and ``goal`` holds nowhere where no
     goal is known.
@@ -144,7 +144,7 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
 
 
 def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Returns by the name of each of Hall's zones where distances [...] [m] are in it; NaN is in none."""
+    """Return for each of Hall's zones, by name, whether distances [...] [m] are in it; NaN is in no zone."""
     return {
         "intimate": distance < INTIMATE_M,
         "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
@@ -156,7 +156,7 @@ def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
 def time_to_collision(
     offset: NDArray[np.float64], velocity: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Returns the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [..., 2] x2 -> [...].
+    """Return the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [..., 2] x2 -> [...].
 
     0 where the two already overlap; NaN where offset or velocity is NaN.
     """

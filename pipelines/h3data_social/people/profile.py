@@ -56,7 +56,7 @@ Flags = NDArray[np.bool_]
 
 
 def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
-    """Computes all metrics of the first robot near all people of each recording.
+    """Compute all metrics of the first robot near all people of each recording.
 
     `Computed.human` is the person whom it comes nearest.
     """
@@ -93,7 +93,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
 
 
 def social_series(recording: Recording) -> Series:
-    """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0."""
+    """Compute the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0."""
     find_agents(recording)
     crowd = _Crowd.of([recording])
     series = {
@@ -133,7 +133,7 @@ class _Contacts:
 
     @classmethod
     def of(cls, recording: Recording) -> _Contacts:
-        """The contacts of the first robot of a recording, as far as its columns tell them."""
+        """Return the contacts of the first robot of a recording, as far as its columns tell them."""
         _, people = find_others(recording)
         columns, rows, agents = recording.columns, len(recording), len(recording.agents)
         others = agents - len(people) - 1
@@ -159,7 +159,7 @@ class _Contacts:
         return cls(people=touched, robots=robots, walls=walls, note=note)
 
     def until(self, row: int, *, everything: bool) -> bool | None:
-        """Returns whether the robot touches a person, or with ``everything`` anything, up to a row; None if unknown."""
+        """Return whether the robot touches a person, or with ``everything`` anything, up to a row; None if unknown."""
         kinds = [self.people, self.robots, self.walls] if everything else [self.people]
         if any(flags is not None and flags[: row + 1].any() for flags in kinds):
             return True
@@ -201,7 +201,7 @@ class _Crowd:
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> _Crowd:
-        """The crowd of recordings that have rows, a robot and people."""
+        """Return the crowd of recordings that have rows, a robot and people."""
         found = [find_others(recording) for recording in recordings]
         most = max(len(people) for _, people in found)
         rows = Rows.of([len(recording) for recording in recordings])
@@ -240,7 +240,7 @@ class _Crowd:
         return (self.speed < STALLED_M_S) & (self.turn / self.seconds < STALLED_RAD_S)
 
     def nearest_person(self, episode: int) -> int:
-        """Column of the person whom the robot of an episode comes nearest; 0 if nobody knows."""
+        """Return the column of the person whom the robot of an episode comes nearest; 0 if nobody knows."""
         rows = slice(self.rows.starts[episode], self.rows.ends[episode])
         return nearest_of(self.gaps[rows])
 
@@ -251,7 +251,7 @@ class _Crowd:
         return time_to_collision(towards, velocity, ROBOT_RADIUS_M + HUMAN_RADIUS_M)
 
     def closing(self) -> tuple[Flags, Flags]:
-        """Returns whether in each row the robot, or else the person, closes the gap between them, each [R, P]."""
+        """Return whether in each row the robot, or else the person, closes the gap between them, each [R, P]."""
         before, length = np.full(self.people.shape, np.nan), np.full(self.gaps.shape, np.nan)
         before[1:], length[1:] = (self.people - self.at[:, None])[:-1], self.gaps[:-1]
         robot = np.sum(self.rows.changes(self.at)[:, None] * before, axis=2)
@@ -270,7 +270,7 @@ class _Crowd:
         return stuck
 
     def touching(self) -> tuple[Flags, Flags]:
-        """Returns whether the robot touches each person [R, P], and whether an episode's contacts are known [E]."""
+        """Return whether the robot touches each person [R, P], and whether an episode's contacts are known [E]."""
         flags, known = np.zeros(self.gaps.shape, np.bool_), np.zeros(len(self.contacts), np.bool_)
         for e, (start, contact) in enumerate(zip(self.rows.starts.tolist(), self.contacts, strict=True)):
             if contact.people is not None:
@@ -280,7 +280,7 @@ class _Crowd:
 
 
 def _values(crowd: _Crowd) -> dict[str, Array]:
-    """Metrics that need no goal [E] by name."""
+    """Return metrics that need no goal [E] by name."""
     return _space(crowd) | _rowwise(crowd) | _sampled(crowd)
 
 
@@ -314,7 +314,7 @@ def _space(crowd: _Crowd) -> dict[str, Array]:
 
 
 def _rowwise(crowd: _Crowd) -> dict[str, Array]:
-    """Metrics of the robot's own rows."""
+    """Return metrics of the robot's own rows."""
     rows = crowd.rows
     moves = rows.sum(~np.isnan(crowd.speed)) > 0
     somewhere = rows.sum(~np.isnan(crowd.at[:, 0])) > 0
@@ -333,7 +333,7 @@ def _rowwise(crowd: _Crowd) -> dict[str, Array]:
 
 
 def _sampled(crowd: _Crowd) -> dict[str, Array]:
-    """Metrics of motion at `RATE_HZ`."""
+    """Return metrics of motion at `RATE_HZ`."""
     period = np.array([max(_PERIOD_NS, recording.episode.dt_ns) for recording in crowd.recordings], np.int64)
     samples, (at, people) = crowd.rows.sampled(crowd.time_ns, period, crowd.at, crowd.people)
     seconds = np.repeat(period * 1e-9, samples.counts)
@@ -359,7 +359,7 @@ def _sampled(crowd: _Crowd) -> dict[str, Array]:
 
 
 def social_force(towards: Array, velocity: Array) -> Array:
-    """Returns the size of the social force between two agents [...] [m/s2] by HuNavSim's parameters.
+    """Return the size of the social force between two agents [...] [m/s2] by HuNavSim's parameters.
 
     Args:
         towards: Offset from one to the other on the floor [..., 2] [m].
@@ -414,7 +414,7 @@ def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
 
 
 def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
-    """Metrics of groups; none where nobody walks or talks in one."""
+    """Return metrics of groups; none where nobody walks or talks in one."""
     gaps, radii = _group_gaps(recording, robot)
     seen = np.asarray(~np.isnan(gaps).all(axis=1))
     if not gaps.shape[1] or not seen.any():
@@ -451,7 +451,7 @@ def _of_contacts(contacts: _Contacts) -> dict[str, float]:
 def _of_goal(
     goal: Goal, contacts: _Contacts, own: dict[str, float], recording: Recording, moved: Array
 ) -> dict[str, float]:
-    """Metrics of reaching the goal; undefined ones are left out. ``moved`` is the way since the row before [T] [m]."""
+    """Return metrics of reaching the goal; undefined ones are left out. ``moved`` is the way since the row before [T] [m]."""
     if goal.first < 0:
         return {}
     row, times, info = goal.row, recording.columns["time_ns"], recording.episode.info

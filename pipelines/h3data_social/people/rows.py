@@ -23,7 +23,7 @@ class Rows:
 
     @classmethod
     def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
-        """Rows of episodes with so many rows each, at least one."""
+        """Return rows of episodes with so many rows each, at least one."""
         ends = np.cumsum(counts, dtype=np.int64)
         return cls(starts=ends - np.asarray(counts, np.int64), total=int(ends[-1]))
 
@@ -38,22 +38,22 @@ class Rows:
         return self.starts + self.counts
 
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Sums over each episode's rows and, if there are any, people: [R] or [R, P] -> [E]. NaN counts as 0."""
+        """Return sums over each episode's rows and, if there are any, people: [R] or [R, P] -> [E]. NaN counts as 0."""
         known = values.astype(np.int64) if values.dtype == np.bool_ else np.where(np.isnan(values), 0.0, values)
         summed = np.add.reduceat(known, self.starts)
         return summed if summed.ndim == 1 else summed.sum(axis=1)
 
     def mean(self, values: Array) -> Array:
-        """Means of all that is known of each episode: [R] or [R, P] -> [E]; NaN where nothing is."""
+        """Return means of all that is known of each episode: [R] or [R, P] -> [E]; NaN where nothing is."""
         with np.errstate(invalid="ignore"):
             return self.sum(values) / self.sum(~np.isnan(values))
 
     def least(self, values: Array) -> Array:
-        """Smallest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        """Return the smallest known value of each episode: [R] -> [E]; NaN where nothing is known."""
         return np.fmin.reduceat(values, self.starts)
 
     def greatest(self, values: Array) -> Array:
-        """Greatest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        """Return the greatest known value of each episode: [R] -> [E]; NaN where nothing is known."""
         return np.fmax.reduceat(values, self.starts)
 
     def changes(self, values: NDArray[Any]) -> Array:
@@ -64,14 +64,14 @@ class Rows:
         return changes
 
     def begins(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
+        """Return rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
         before = np.zeros_like(flags)
         before[1:] = flags[:-1]
         before[self.starts] = False
         return flags & ~before
 
     def earlier(self, time_ns: NDArray[np.int64], ago_ns: int) -> NDArray[np.int64]:
-        """Last row of the episode that is at least ``ago_ns`` before each row [R]; -1 where there is none."""
+        """Return the last row of the episode that is at least ``ago_ns`` before each row [R]; -1 where there is none."""
         since, shift = self._since(time_ns)
         episode = np.repeat(np.arange(len(self.starts)), self.counts)
         found = np.searchsorted(since + shift[episode], since + shift[episode] - ago_ns, side="right") - 1
@@ -80,7 +80,7 @@ class Rows:
     def sampled(
         self, time_ns: NDArray[np.int64], period_ns: NDArray[np.int64], *values: Array
     ) -> tuple[Rows, list[Array]]:
-        """Values [R, ...] at a fixed rate from each episode's first row on, between rows by linear interpolation.
+        """Return values [R, ...] at a fixed rate from each episode's first row on, between rows by linear interpolation.
 
         Args:
             time_ns: Time of each row [R].
@@ -106,7 +106,7 @@ class Rows:
         return samples, taken
 
     def _since(self, time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Time of each row since its episode's first [R], and what puts the episodes one after another [E]."""
+        """Return the time of each row since its episode's first [R], and what puts the episodes one after another [E]."""
         since = time_ns - np.repeat(time_ns[self.starts], self.counts)
         lasting = since[self.ends - 1] + 1
         return since, np.cumsum(lasting) - lasting

@@ -24,7 +24,7 @@ LEFT = (
 def run_folder(
     out: Path, *, force: bool, resume: bool, device: str, checkpoint_bytes: int, keep: Path | None = None
 ) -> Path:
-    """Prepares the folder of a training run.
+    """Prepare the folder of a training run.
 
     With ``force`` everything that an earlier run left there is deleted, because its partners, starts and learning curve
     would otherwise be taken for those of the new run.

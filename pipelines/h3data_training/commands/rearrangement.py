@@ -27,11 +27,11 @@ STEPS_PER_EPISODE = 600
 DRAWING_S = 0.55
 """CPU seconds to draw an episode: 652 for 1,184 in the 37 homes of h3-homes/train."""
 WORLD_STEPS_PER_CPU_S = 10_000
-"""Steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
+"""Number of steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
 
 
 def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
-    """The settings and the cost of a run, without running it."""
+    """Return the settings and the cost of a run, without running it."""
     data = {"settings": settings.as_dict(), "out": str(out), **_cost(settings, workers)}
     text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, workers)}\nNothing has been done."
     return Outcome(text=text, data=data)
@@ -49,7 +49,7 @@ def train_rearrange(
     stop_after: float | None,
     episodes_file: Path | None,
 ) -> Outcome:
-    """Trains in a folder, as `h3data_training.populations.run.train`.
+    """Train in a folder, as `h3data_training.populations.run.train`.
 
     Raises:
         InputError: the folder is not empty, the disk is full, or there is no such device.

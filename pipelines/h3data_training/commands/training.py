@@ -119,7 +119,7 @@ class Train:
     scenes: tuple[str, ...] = ()
     """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
-    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    """Number of episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
     episodes_per_update: Annotated[int | None, POPULATIONS] = None
     """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
     pixels: Annotated[bool, POPULATIONS] = False
@@ -160,7 +160,7 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Trains the policy and returns where its weights are and how well it does."""
+        """Train the policy and return where its weights are and how well it does."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:
@@ -221,7 +221,7 @@ class Train:
         return Outcome(text=_summary(result, settings.task), data=result.as_data(), result=result)
 
     def _settings(self) -> tuple[str, Settings]:
-        """The recipe's name and the settings of social navigation or a skill."""
+        """Return the recipe's name and the settings of social navigation or a skill."""
         from h3data_training.settings import recipe
         from h3data_training.skills.settings import skill_recipe
 
@@ -295,7 +295,7 @@ class Train:
 
 
 def _first(name: str) -> VisualPolicy:
-    """The trained policy of a name."""
+    """Return the trained policy of a name."""
     from sim_kinematic.policies.learned import is_learned, network_of
     from sim_kinematic.policies.visual_policy import VisualPolicy
 
@@ -308,7 +308,7 @@ def _first(name: str) -> VisualPolicy:
 
 
 def _cost(settings: Settings) -> dict[str, int]:
-    """Sizes that decide whether a run fits on a machine [bytes]."""
+    """Return sizes that decide whether a run fits on a machine [bytes]."""
     from sim_kinematic.policies.visual_policy import PICTURES
 
     s = settings

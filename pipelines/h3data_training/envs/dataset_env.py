@@ -35,7 +35,7 @@ from sim_kinematic.sensing.eyes import shared_renderer
 from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.resume import task_of
 from sim_kinematic.tasks.runner import DecisionLoop
@@ -212,8 +212,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._recorder = None
         if self.record is not None:
             name = f"{self._seed}-{self._index}"
-            header = describe(self._task, episode, policies, episode_id=name)
-            self._recorder = Recorder(header, play)
+            self._recorder = Recorder.of(play, episode_id=name)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Act for 1/30 s.
@@ -255,7 +254,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return float(first)
 
     def _keep(self, recorder: Recorder) -> None:
-        """Writes the recording of an episode that has just ended."""
+        """Write the recording of an episode that has just ended."""
         play = recorder.play
         if play.over and self.record is not None:
             self.record.mkdir(parents=True, exist_ok=True)
@@ -290,7 +289,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return self._watcher.picture(self._posed(), self._number)
 
     def _posed(self) -> StateRenderer:
-        """Returns the renderer of the home, with everybody posed as replays of recordings pose them.
+        """Return the renderer of the home, with everybody posed as replays of recordings pose them.
 
         People set their feet along the track of the whole episode so far. Clips, as other environments show them, would put
         arms and legs elsewhere than the videos have them.
@@ -309,7 +308,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return drawn
 
     def _walk(self, play: WorldRollout) -> None:
-        """Lets people set their feet where the step that has just been made took them."""
+        """Let people set their feet where the step that has just been made took them."""
         for k, member in enumerate(play.world.roster):
             if not isinstance(member.body, Humanoid):
                 continue
@@ -362,7 +361,7 @@ def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
 
 
 def _shown(shown: Demonstrations, names: Sequence[str] | None, first: Recording) -> list[tuple[Any, int]]:
-    """The cameras to show, each with the number of the agent that carries it."""
+    """Return the cameras to show, each with the number of the agent that carries it."""
     known = {camera.key.removeprefix("observation.images."): camera for camera in shown.cameras}
     agents = {agent.name: number for number, agent in enumerate(first.agents)}
     chosen = list(known) if names is None else list(names)

@@ -58,7 +58,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         compile: bool | None = None,
         task: Rearrange | None = None,
     ) -> None:
-        """Samples the episodes, or takes a bank of them, and copies it to the device.
+        """Sample the episodes, or take a bank of them, and copy it to the device.
 
         Args:
             num_envs: number of worlds W.
@@ -133,7 +133,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
-        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
+        """Move all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
         Args:
             actions: numbers of choices, int64 [W], or a mapping of them by agent. Those of busy agents have no effect; -1
@@ -165,7 +165,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """Facts beyond the observations, [W, ...] each; ``episode`` is a number in the bank.
+        """Return facts beyond the observations, [W, ...] each; ``episode`` is a number in the bank.
 
         With two agents, the entries of each agent begin with ``robot_`` or ``human_``.
         """

@@ -45,7 +45,7 @@ class SocialNavTorchEnv(TaskTorchEnv):
         return SocialNavTensors(self.bank, **options)
 
     def info(self) -> Tensors:
-        """Facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        """Return facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
         memory = self.play.memory
         known = {name: memory[name].clone() for name in ("found", "followed")}
         return super().info() | known | {"geodesic_m": memory["geodesic"].clone()}

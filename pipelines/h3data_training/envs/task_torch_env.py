@@ -48,7 +48,7 @@ def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
 
 
 def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
-    """The named observations `PICTURED` of all worlds as last posed, [W, ...]."""
+    """Return the named observations `PICTURED` of all worlds as last posed, [W, ...]."""
     by_arm: list[Output] = [OUTPUTS[name] for name in names if name in OUTPUTS]
     seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
     if "depth" in seen:
@@ -62,7 +62,7 @@ def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
 
 
 def cameras_of(bank: Any, robot: Robot, human: Humanoid, walker: WalkerSpec, **options: Any) -> TensorCameras:
-    """Cameras in the homes of a bank; ``options`` are those of `h3data_training.torch.cameras.TensorCameras`.
+    """Return cameras in the homes of a bank; ``options`` are those of `h3data_training.torch.cameras.TensorCameras`.
 
     Raises:
         InputError: the floors are at several heights, or there is no GPU.
@@ -104,7 +104,7 @@ class TaskTorchEnv(TorchEnv[Play]):
         graph: bool | None = None,
         compile: bool | None = None,
     ) -> None:
-        """Samples the episodes, or takes a bank of them, and copies it to the device.
+        """Sample the episodes, or take a bank of them, and copy it to the device.
 
         Args:
             task: the task, whose functions are for arrays of any namespace (h3data docs extending).
@@ -157,7 +157,7 @@ class TaskTorchEnv(TorchEnv[Play]):
 
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:
-        """Sensors of the robot that are not pictures, by name."""
+        """Return sensors of the robot that are not pictures, by name."""
         return task.sensors("robot")
 
     def _make_worlds(self, **options: Any) -> TaskTensors:
@@ -167,7 +167,7 @@ class TaskTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
-        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
+        """Move all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
         Args:
             actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite count as
@@ -190,7 +190,7 @@ class TaskTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """Facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        """Return facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
         play = self.play
         known = {
             "success": self.sim.succeeded(play),
@@ -209,7 +209,7 @@ class TaskTorchEnv(TorchEnv[Play]):
         self._shown = {name: shown[name] for name in self._names}
 
     def _moved(self) -> Tensors:
-        """A step but for its pictures."""
+        """Return a step but for its pictures."""
         self._keep(self.sim.step(self.play, self._action))
         return self.sim.observations([name for name in self._names if name not in PICTURED], self.play)
 

@@ -35,7 +35,7 @@ class Playing(Protocol):
 
     @property
     def ended(self) -> Tensor:
-        """Returns whether each world's episode is over, bool [W]."""
+        """Return whether each world's episode is over, bool [W]."""
         ...
 
     @property
@@ -45,16 +45,16 @@ class Playing(Protocol):
 
     @property
     def terminated(self) -> Tensor:
-        """Returns whether the rules have ended the episode, bool [W]."""
+        """Return whether the rules have ended the episode, bool [W]."""
         ...
 
     @property
     def truncated(self) -> Tensor:
-        """Returns whether the time limit has ended the episode, bool [W]."""
+        """Return whether the time limit has ended the episode, bool [W]."""
         ...
 
     def tensors(self) -> Any:
-        """All tensors of the state, in a fixed order."""
+        """Return all tensors of the state, in a fixed order."""
         ...
 
 
@@ -74,7 +74,7 @@ class TorchEnv(Generic[P]):
     def __init__(
         self, num_envs: int, device: torch.device | str, *, graph: bool | None = None, compile: bool | None = None
     ) -> None:
-        """Checks the device.
+        """Check the device.
 
         Args:
             num_envs: number of worlds W.
@@ -97,7 +97,7 @@ class TorchEnv(Generic[P]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Any, Tensors]:
-        """Begins the next episode in all worlds.
+        """Begin the next episode in all worlds.
 
         With a seed, worlds first move to the places in the bank at which the runs seed, seed + 1, ..., or the listed
         ones, begin. There are no ``options``.
@@ -116,7 +116,7 @@ class TorchEnv(Generic[P]):
         return self._result(), self.info()
 
     def info(self) -> Tensors:
-        """Facts beyond the observations, [W, ...] each."""
+        """Return facts beyond the observations, [W, ...] each."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -128,7 +128,7 @@ class TorchEnv(Generic[P]):
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
 
     def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
-        """All worlds a step further, by the actions that are set."""
+        """Return all worlds a step further, by the actions that are set."""
         with enough_memory(self.device, self.num_envs, self.name):
             self._advance()
         play = self.play
@@ -136,11 +136,11 @@ class TorchEnv(Generic[P]):
         return self._result(), *ends, self.info()
 
     def _keep(self, after: P) -> None:
-        """Writes a state over that of all worlds."""
+        """Write a state over that of all worlds."""
         overwrite(self.play.tensors(), after.tensors())
 
     def _moved(self) -> Any:
-        """A step of all worlds, in place, and what it shows; what is fused."""
+        """Return a step of all worlds, in place, and what it shows; what is fused."""
         raise NotImplementedError
 
     def _eager(self) -> None:
@@ -148,10 +148,10 @@ class TorchEnv(Generic[P]):
         raise NotImplementedError
 
     def _forget_actions(self) -> None:
-        """Makes the actions of the last step count for nothing in a new episode."""
+        """Make the actions of the last step count for nothing in a new episode."""
 
     def _result(self) -> Any:
-        """Observations of the last step, in tensors of their own: a graph writes into the same ones again."""
+        """Return observations of the last step, in tensors of their own: a graph writes into the same ones again."""
         raise NotImplementedError
 
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
@@ -183,7 +183,7 @@ class TorchEnv(Generic[P]):
 
 @contextmanager
 def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
-    """Says in one sentence which worlds a device has no memory for.
+    """Say in one sentence which worlds a device has no memory for.
 
     Raises:
         InputError: its memory does not suffice.
@@ -204,7 +204,7 @@ def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
 
 
 def checked_device(device: torch.device | str) -> torch.device:
-    """The device of this name.
+    """Return the device of this name.
 
     Raises:
         InputError: there is none that this torch can use.
@@ -221,7 +221,7 @@ def checked_device(device: torch.device | str) -> torch.device:
 
 
 def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
-    """Returns the episode of the bank at which each world begins, for runs seed, seed + 1, ..., or those listed, [W].
+    """Return the episode of the bank at which each world begins, for runs seed, seed + 1, ..., or those listed, [W].
 
     Raises:
         InputError: there is neither one seed nor one for each world.

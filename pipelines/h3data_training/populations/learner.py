@@ -83,7 +83,7 @@ class ChooserLearner:
         return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on from a `state`, of any device.
+        """Go on from a `state`, of any device.
 
         Raises:
             KeyError: a part is missing,
@@ -98,7 +98,7 @@ class ChooserLearner:
             kept["step"] = kept["step"].to(self.device)
 
     def network(self, training: dict | None = None) -> SkillPolicyNetwork:
-        """The policy so far."""
+        """Return the policy so far."""
         s = self.settings
         card = PolicyCard(
             task=Rearrange.name,
@@ -116,7 +116,7 @@ class ChooserLearner:
         return SkillPolicyNetwork(card=card, arrays=self.net.arrays())
 
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
-        """Learns from decisions; returns losses by name."""
+        """Learn from decisions; return losses by name."""
         s = self.settings
         for tensor, value in ((self._rate, plan.rate), (self._entropy, plan.entropy), (self._acts, float(plan.acts))):
             tensor.fill_(value)
@@ -154,7 +154,7 @@ class ChooserLearner:
         return dict(zip(names, (sums / count).tolist(), strict=True)) | last
 
     def _learned(self, batch: Mapping[str, Tensor], states: Tensor, rows: Tensor) -> Tensor:
-        """A gradient step with chunks of these numbers, -1 for none, and its means [5]."""
+        """Return a gradient step with chunks of these numbers, -1 for none, and its means [5]."""
         x = {name: t[:, rows] for name, t in batch.items()} | {"state": states[rows]}
         x["valid"] = x["valid"] * (rows >= 0)
         if self._on_gpu and self._x:
@@ -167,7 +167,7 @@ class ChooserLearner:
         return self._means.clone()
 
     def _moments(self) -> list[Tensor]:
-        """Moments of Adam, made here where its first step would make them: a graph needs them before."""
+        """Return moments of Adam, made here where its first step would make them: a graph needs them before."""
         for weight in self.net.parameters():
             if not self.optimizer.state[weight]:
                 zeros = {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
@@ -222,7 +222,7 @@ def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *,
 
 
 def chunks_of(counts: Tensor, length: int) -> tuple[Tensor, Tensor]:
-    """Splits the decisions of E episodes into chunks of consecutive ones.
+    """Split the decisions of E episodes into chunks of consecutive ones.
 
     Returns the numbers of the decisions [length, C], and which of them exist, bool. The last chunk of an episode may be
     shorter; its last number is then repeated. ``counts`` [E] are the numbers of decisions in each episode.

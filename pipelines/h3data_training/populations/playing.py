@@ -65,11 +65,11 @@ class Decisions:
     each: Any
     """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     rest: Any
-    """The other inputs, [D, R]."""
+    """Inputs that belong to no single object, [D, R]."""
     pictures: Any
-    """Roots of the depth that was seen, float16 [D, H, W] in 0..1; [D, 0, 0] of a policy that does not see."""
+    """Square roots of depth images, float16 [D, H, W] in 0..1; [D, 0, 0] for a policy without pictures."""
     told: Any
-    """The state, which a policy that sees is not told and the critic is, [D, N]; else [D, 0]."""
+    """Exact state for the critic of a policy that sees only pictures, [D, N]; [D, 0] for other policies."""
     state: Any
     """Recurrent state before the decision, [D, H]."""
     allowed: Any
@@ -83,7 +83,7 @@ class Decisions:
     """Discount of returns from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is
     known."""
     counts: NDArray[np.int64]
-    """Decisions of each episode, [E]: D in all."""
+    """Number of decisions in each episode, [E]; their sum is D."""
     partners: tuple[str, ...]
     """Partner of the robot in each episode, [E]."""
 
@@ -153,7 +153,7 @@ class _Sampler(RecurrentSkillPolicy):
         return chosen
 
     def decisions(self, rewards: Sequence[float], gamma: float, partner: str) -> Decisions:
-        """All decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
+        """Return all decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
         columns = (np.array(column) for column in zip(*self.rows, strict=True))
         each, rest, pictures, told, state, allowed, chosen, log_prob = columns
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
@@ -191,7 +191,7 @@ def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Arra
 
 
 def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
-    """Plays one training episode."""
+    """Play one training episode."""
     objects = len(episode.targets)
     samplers: dict[str, _Sampler] = {}
     policies = []
@@ -235,7 +235,7 @@ class Players:
         device: str = "cpu",
         say: Callable[[str], None] = lambda line: None,
     ) -> None:
-        """Prepares players of some episodes; ``device`` is that on which others learn from them."""
+        """Prepare players of some episodes; ``device`` is that on which others learn from them."""
         global _EPISODES
         self.device = device
         _EPISODES = self._episodes = tuple(episodes)
@@ -253,11 +253,11 @@ class Players:
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compiles and loads code once, before there are several processes, by playing the first of some episodes."""
+        """Compile and load code once, before there are several processes, by playing the first of some episodes."""
         self.play(jobs[:1])
 
     def play(self, jobs: Sequence[Job]) -> Batch:
-        """Plays some episodes, in their order; those that raise are left out.
+        """Play some episodes, in their order; those that raise are left out.
 
         Raises:
             H3DataError: processes are lost again and again, or every episode raises.
@@ -297,7 +297,7 @@ class Players:
         return self._pool.map(_tried, jobs)
 
     def close(self) -> None:
-        """Ends the processes."""
+        """End the processes."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None

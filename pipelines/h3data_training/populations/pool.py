@@ -39,7 +39,7 @@ FORMAT = "h3data.pool/1"
 SEED = 1_000_003
 """Seed of all pools: runs differ in what they make of the same episodes."""
 TRIES = 3
-"""Seeds of an episode that are tried in a home."""
+"""Number of seeds of an episode that are tried in a home."""
 
 
 class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -63,7 +63,7 @@ class Pool(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
-    """The settings that decide which episodes there are."""
+    """Return the settings that decide which episodes there are."""
     return {
         "scenes": settings.scenes,
         "episodes_per_home": settings.episodes_per_home,
@@ -74,7 +74,7 @@ def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
 
 
 def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
-    """The episodes of a file; where there is none they are drawn, and it is written.
+    """Return the episodes of a file; where there is none they are drawn, and it is written.
 
     Raises:
         FormatError: it is none, or damaged.
@@ -108,12 +108,12 @@ def _require_drawn_by(settings: PopulationSettings, kept: Mapping[str, Any], fil
 
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
-    """Draws as many episodes in each home, in several processes."""
+    """Draw as many episodes in each home, in several processes."""
     return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=_of_homes(_drawn, settings, workers))
 
 
 def _of_homes(make: Callable[[HomeTask], list[T]], settings: PopulationSettings, workers: int) -> list[T]:
-    """The lists that ``make`` returns for all homes, one after the other."""
+    """Return the lists that ``make`` returns for all homes, one after the other."""
     names = [named.name for named in listed_scenes(settings.scenes)]
     drawn = by_home(make, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
     if not any(drawn):
@@ -127,7 +127,7 @@ def _drawn(task: HomeTask) -> list[PoolEntry]:
 
 
 def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -> list[PoolEntry]:
-    """The episodes of a home, which may have room for fewer than are asked for."""
+    """Return the episodes of a home, which may have room for fewer than are asked for."""
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
     entries = []
     for index in range(settings.episodes_per_home):
@@ -146,7 +146,7 @@ def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -
 
 
 def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
-    """The episodes of a pool, ready to be played: homes are built here.
+    """Return the episodes of a pool, ready to be played: homes are built here.
 
     Raises:
         InputError: a home is not there, or lacks an object.
@@ -207,7 +207,7 @@ def default_workers() -> int:
 
 
 def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> RearrangeBank:
-    """Loads the episodes of a file, paths included, for worlds on a device; samples and stores them if there is no file.
+    """Load the episodes of a file, paths included, for worlds on a device; sample and store them if there is no file.
 
     Raises:
         FormatError: the file is damaged or of another kind.
@@ -227,7 +227,7 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
 
 
 def _home_bank(task: HomeTask) -> list[RearrangeBank]:
-    """The bank of a home; none where it has no room."""
+    """Return the bank of a home; none where it has no room."""
     from h3data_training.torch.rearrange.bank import RearrangeBank
 
     settings, name, number = task
@@ -238,7 +238,7 @@ def _home_bank(task: HomeTask) -> list[RearrangeBank]:
 
 
 def with_scenes(bank: RearrangeBank, file: Path) -> RearrangeBank:
-    """The same bank with its homes opened, for pictures.
+    """Return the same bank with its homes opened, for pictures.
 
     Raises:
         InputError: the file does not name the homes, as one of before 0.3.

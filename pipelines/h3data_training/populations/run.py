@@ -51,7 +51,7 @@ def train(
     episodes: Sequence[RearrangeEpisode] | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
+    """Train until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and save.
 
     A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
 
@@ -101,7 +101,7 @@ def _players(
     folder: Path,
     say: Say,
 ) -> Players | TensorPlayers:
-    """Processes with the full rules, or worlds on a device, with these episodes or those of a file."""
+    """Process with the full rules, or worlds on a device, with these episodes or those of a file."""
     if not settings.oracle:
         if episodes is None:
             episodes = episodes_of(pool_of(settings, file or folder / EPISODES, workers=workers), settings)
@@ -198,7 +198,7 @@ class _Run:
         )
 
     def _jobs(self, update: int) -> list[Job]:
-        """The episodes of an update."""
+        """Return the episodes of an update."""
         s = self.settings
         networks = {name: learner.network() for name, learner in self.learners.items()}
         jobs = []
@@ -217,7 +217,7 @@ class _Run:
         return jobs
 
     def _update(self, share: float) -> dict[str, float]:
-        """Plays the episodes of one update and learns from them; returns a row of the learning curve."""
+        """Play the episodes of one update and learn from them; return a row of the learning curve."""
         update, start = len(self.curve), time.monotonic()
         plan = plan_at(self.settings, share, update)
         played, found = self.players.play(self._jobs(update))
@@ -296,7 +296,7 @@ class _Run:
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
     def _training(self) -> dict[str, Any]:
-        """Returns the origin of the policies, for their cards."""
+        """Return the origin of the policies, for their cards."""
         last = self.curve[-1] if self.curve else {}
         shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
         return {
@@ -315,7 +315,7 @@ class _Run:
 
 
 def _outcome(played: Sequence[Played]) -> dict[str, float]:
-    """Means over the episodes of an update, by column of the curve."""
+    """Return means over the episodes of an update, by column of the curve."""
     there = sum(p.at_goal for p in played)
     return {
         "reward": float(np.mean([p.reward for p in played])),

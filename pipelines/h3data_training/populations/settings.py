@@ -30,13 +30,13 @@ ABLATIONS = (HUMANOID_GPS, "primitives")
 """Parts that a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
 navigation."""
 LEAST_CHUNKS = 12
-"""Chunks of a minibatch of a partner: with fewer its gradient is noise."""
+"""Number of chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
 """Value of ``walk`` for ``natural`` walking in one half of the episodes and ``paper`` in the other."""
 
 
 def rules_of(walk: str) -> RearrangeSpec:
-    """The rules of episodes in which people walk like this, with the paper's reward."""
+    """Return the rules of episodes in which people walk like this, with the paper's reward."""
     return RearrangeSpec(max_steps=LONGEST[walk], human=WALKERS[walk])
 
 
@@ -56,10 +56,10 @@ class PopulationSettings:
     of the episodes, for a robot that plays beside either."""
     oracle: bool = False
     """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
-    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were sampled for."""
+    (`h3data_training.populations.worlds`). People are then those of the paper, also in episodes sampled with other people."""
     moves_starts: bool = True
-    """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
-    success in training tells of success in other homes."""
+    """True if, in worlds on a device, each agent begins where it does in any episode of the same home. There are then so many
+    meetings that success in training tells of success in other homes."""
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     pixels: bool = False
@@ -78,7 +78,7 @@ class PopulationSettings:
     """Number of steps after which a learner chooses again while it walks."""
 
     episodes: int = 32
-    """Episodes of an update."""
+    """Number of episodes of an update."""
     hidden: int = 64
     """Size of the recurrent state."""
     width: int = 64
@@ -171,7 +171,7 @@ class PopulationSettings:
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:
-        """Number of chunks in a minibatch of one of the learning policies.
+        """Return the number of chunks in a minibatch of one of the learning policies.
 
         Each of P partners plays in one of P episodes. Their minibatches are smaller by this factor, so that all
         policies make the same number of gradient steps in an update, but not smaller than `LEAST_CHUNKS`.
@@ -182,14 +182,14 @@ class PopulationSettings:
         return max(least, self.chunks_per_minibatch // len(self.partners))
 
     def observations_of(self, agent: str) -> tuple[str, ...]:
-        """Observations of a learner, the ``robot`` or a ``human``."""
+        """Return observations of a learner, the ``robot`` or a ``human``."""
         is_hidden = HUMANOID_GPS in self.without
         if agent == ROBOT and self.pixels:
             return tuple(name for name in PIXELS if not (is_hidden and name in SENSES and SENSES[name].of_other))
         return WITHOUT_OTHER if agent == ROBOT and is_hidden else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
-        """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
+        """Return the partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
         block, place = divmod(episode, len(self.partners))
         order = generator(seed, f"partners/{self.population}", step=block).permutation(len(self.partners))
         return self.partners[int(order[place])]
@@ -248,7 +248,7 @@ temperature was chosen on val homes (h3data docs populations)."""
 
 
 def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
-    """A recipe of rearrangement, or our own settings for None, with some settings changed; None changes nothing.
+    """Return a recipe of rearrangement, or our own settings for None, with some settings changed; None changes nothing.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.

@@ -151,7 +151,7 @@ class TensorSkillPolicy:
         return self._noise.index_select(0, step)[0]
 
     def keep(self, row: Row, step: Tensor) -> None:
-        """Remembers a row of the step with this number [1]."""
+        """Remember a row of the step with this number [1]."""
         keep_row(self._kept, step, row._asdict(), rows=len(self._noise))
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
@@ -201,7 +201,7 @@ class TensorSkillPolicy:
 
 # --- the network as tensors -----------------------------------------------------------------------------------------------
 def arrays_of(networks: Sequence[SkillPolicyNetwork], device: torch.device) -> dict[str, Tensor]:
-    """The weights of P choosers on a device, [P, ...] each."""
+    """Return the weights of P choosers on a device, [P, ...] each."""
     names = networks[0].arrays
     return {name: torch.as_tensor(np.stack([n.arrays[name] for n in networks]), device=device) for name in names}
 
@@ -227,7 +227,7 @@ def encode(
 
 
 def features(arrays: Arrays, roots: Tensor) -> Tensor:
-    """Features [W, F] of the roots of depth [W, H, W'], by the only network of P."""
+    """Return features [W, F] of the roots of depth [W, H, W'], by the only network of P."""
     pixels = functional.pixel_unshuffle(roots[:, None], PATCH)
     return picture_features({name: array[0] for name, array in arrays.items()}, pixels)
 

@@ -34,7 +34,7 @@ LOOK_STEPS = 5
 """Steps from one picture to the next. Drawing costs more than all the rest of a step, and close to each other agents choose
 once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most 4 steps old."""
 CHECK_STEPS = 25
-"""Steps after which it is checked whether all episodes are over: that waits for the device."""
+"""Number of steps after which it is checked whether all episodes are over: that waits for the device."""
 
 
 class TensorPlayers:
@@ -51,7 +51,7 @@ class TensorPlayers:
         moves_starts: bool = False,
         picture_size: tuple[int, int] | None = None,
     ) -> None:
-        """Copies a bank of episodes to the device.
+        """Copy a bank of episodes to the device.
 
         Args:
             bank: episodes to choose from.
@@ -77,12 +77,12 @@ class TensorPlayers:
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compiles a step, where that is done, by playing some episodes."""
+        """Compile a step, where that is done, by playing some episodes."""
         if self._compiles or self.device.type == "cuda":
             self.play(jobs)
 
     def play(self, jobs: Sequence[Job]) -> Batch:
-        """Plays some episodes, in their order, all at once."""
+        """Play some episodes, in their order, all at once."""
         casts = _casts(jobs)
         with torch.no_grad():
             if self._worlds is None or self._worlds.casts != casts:
@@ -105,7 +105,7 @@ Casts = tuple[tuple[tuple[str, int], ...], ...]
 
 
 def _casts(jobs: Sequence[Job]) -> Casts:
-    """The learners that play the robot and, where people learn, the person: names, and in how many worlds."""
+    """Return the learners that play the robot and, where people learn, the person: names, and in how many worlds."""
     people = [job.partner for job in jobs if job.partner in job.networks]
     assert len(people) in (0, len(jobs))
     return tuple(tuple(sorted(Counter(names).items())) for names in ([ROBOT] * len(jobs), people) if names)
@@ -206,7 +206,7 @@ class _Worlds:
         self._step.add_(1)
 
     def _draw(self) -> None:
-        """Shows robots what they see now."""
+        """Show robots what they see now."""
         assert self._cameras is not None
         self._cameras.pose(self._play.robot, self._play.human, place=self._sim.tables.at(self._play.episode).place)
         seen = arm_pictures(self._cameras, SEEN)
@@ -221,7 +221,7 @@ class _Worlds:
 
 
 def _cameras(bank: RearrangeBank, worlds: int, size: tuple[int, int], device: torch.device, compiles: bool) -> Any:
-    """Cameras on the robots' arms; on a CPU those that are slow."""
+    """Return cameras on the robots' arms; on a CPU those that are slow."""
     views, walker = arm_cameras(SEEN), bank.spec.human
     if device.type == "cuda":
         options = {"worlds": worlds, "views": views, "size": size, "device": device, "compile": compiles}

@@ -31,7 +31,7 @@ FORMAT = 1
 
 
 def open_cached(dataset: DatasetFolder, shard: int, columns: Sequence[str]) -> pa.ipc.RecordBatchFileReader | None:
-    """The mapped columns of a shard, batch k for row group k; written now if the cache does not have them.
+    """Return the mapped columns of a shard, batch k for row group k; written now if the cache does not have them.
 
     None if there is no cache (``H3DATA_CACHE=off``) or it cannot be written.
     """
@@ -58,7 +58,7 @@ def open_cached(dataset: DatasetFolder, shard: int, columns: Sequence[str]) -> p
 
 
 def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFileReader | None:
-    """A file of the cache, marked as used; None if it does not exist or does not hold these columns."""
+    """Return a file of the cache, marked as used; None if it does not exist or does not hold these columns."""
     if not path.is_file():
         return None
     try:
@@ -73,7 +73,7 @@ def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFi
 
 
 def _key(dataset: DatasetFolder, shard: int, episodes: Sequence[int], schema: pa.Schema) -> str:
-    """Name of the cached file for these columns of the shard as it is now: size and time of its data file count."""
+    """Return the name of the cached file for these columns of the shard as it is now: size and time of its data file count."""
     path = shard_path(dataset.root, "data", shard)
     # the episode table is part of the name: the same data file may serve more episodes after the next commit
     uids = [dataset.rows[k]["uid"] for k in episodes]
@@ -91,7 +91,7 @@ def _identity(path: AnyPath) -> tuple[str, int, int]:
 
 
 def _evict(folder: Path, *, keep: Path) -> None:
-    """Deletes the least recently used files until the rest fits; processes that have one open keep their pages."""
+    """Delete the least recently used files until the rest fits; processes that have one open keep their pages."""
     text = os.environ.get("H3DATA_CACHE_GB", "20")
     try:
         room = float(text) * 1e9

@@ -82,7 +82,7 @@ class WindowDataset:
         self._cache: OrderedDict[int, tuple[dict[str, NDArray[Any]], int]] = OrderedDict()
 
     def __len__(self) -> int:
-        """Number of windows."""
+        """Return the number of windows."""
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> dict[str, Any]:
@@ -106,7 +106,7 @@ class WindowDataset:
         return (self[index] for index in range(len(self)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state without cached rows: spawned workers read for themselves."""
+        """Return the state without cached rows: spawned workers read for themselves."""
         return {**self.__dict__, "_cache": OrderedDict(), "_cached": 0, "_mapped": {}}
 
     def __repr__(self) -> str:
@@ -114,7 +114,7 @@ class WindowDataset:
         return f"WindowDataset({len(self)} windows of {len(self._episodes)} episodes, {list(self.columns)}, {shape})"
 
     def _rows_of(self, episode: int) -> dict[str, NDArray[Any]]:
-        """All rows of an episode, from the cache if it has them."""
+        """Return all rows of an episode, from the cache if it has them."""
         if episode in self._cache:
             self._cache.move_to_end(episode)
             return self._cache[episode][0]

@@ -25,7 +25,7 @@ class CpuSkillCameras:
         self._drawn: dict[int, StateRenderer] = {}
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """Renders all worlds, as `h3data_training.torch.skills.cameras.SkillCameras.observe` on the CPU."""
+        """Render all worlds, as `h3data_training.torch.skills.cameras.SkillCameras.observe` on the CPU."""
         sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
         return stacked(sensor, (self._posed(play, w, episode) for w, episode in enumerate(play.episode.tolist())))
 

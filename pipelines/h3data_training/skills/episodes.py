@@ -35,7 +35,7 @@ DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot",
 def make_skill_bank(
     settings: SkillSettings, *, seed: int, workers: int | None = None, file: Path | None = None
 ) -> SkillBank:
-    """Makes the starts of a run, from the same number of episodes of rearrangement in each home.
+    """Make the starts of a run, from the same number of episodes of rearrangement in each home.
 
     Call it before CUDA is initialised, since the processes are forked.
 
@@ -76,7 +76,7 @@ def _about(settings: SkillSettings, seed: int) -> str:
 
 
 def _read(file: Path, about: str) -> dict[str, NDArray[Any]] | None:
-    """The arrays of a file of starts; None where it holds no starts, or others."""
+    """Return the arrays of a file of starts; None where it holds no starts, or others."""
     if not file.is_file():
         return None
     try:
@@ -88,7 +88,7 @@ def _read(file: Path, about: str) -> dict[str, NDArray[Any]] | None:
 
 
 def _opened(settings: SkillSettings, name: str) -> tuple[Home, tuple[AgentSpec, ...], FreeSpace]:
-    """A home, those who are in it, and the floor for the robot's base, with the lattice that the device needs."""
+    """Return a home, those who are in it, and the floor for the robot's base, with the lattice that the device needs."""
     (named,) = named_scenes(name)
     rules = RearrangeSpec()
     home = Home(named.source, rules.agent_radius_m, rules.agent_height_m)

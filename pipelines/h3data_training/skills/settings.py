@@ -112,7 +112,7 @@ class SkillSettings(Settings):
         return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
-        """Returns the second stage of social navigation without the teacher: the actor has left it behind."""
+        """Return the second stage of social navigation without the teacher: the actor has left it behind."""
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
@@ -173,7 +173,7 @@ the map. ``tiny``: one CPU core, and no pictures: the robot is told where its ta
 
 
 def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
-    """A recipe for a skill with some settings changed; None changes nothing.
+    """Return a recipe for a skill with some settings changed; None changes nothing.
 
     Raises:
         InputError: there is no such recipe or skill, or a value is out of range.

@@ -77,7 +77,7 @@ class ActionRepeatSkills(ActionRepeat):
         return CpuSkillCameras(self.sim, size=size)
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Begins an episode in all worlds, each at the place in the bank that follows from its seed."""
+        """Begin an episode in all worlds, each at the place in the bank that follows from its seed."""
         with torch.no_grad():
             if self.device.type == "cuda" and self._advance == self._eager:
                 self._advance = captured(self._eager, list(self.play.tensors()))
@@ -126,7 +126,7 @@ class ActionRepeatSkills(ActionRepeat):
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

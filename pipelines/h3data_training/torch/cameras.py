@@ -54,7 +54,7 @@ class TensorCameras:
         compile: bool = False,
         renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:
-        """Copies the meshes of homes and agents to the GPU.
+        """Copy the meshes of homes and agents to the GPU.
 
         Args:
             scenes: home that all worlds share, or those that `observe` chooses from.
@@ -130,7 +130,7 @@ class TensorCameras:
         return self._taken(self.views, outputs)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Puts the robot and the person of all worlds where they are.
+        """Put the robot and the person of all worlds where they are.
 
         ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
         """
@@ -143,7 +143,10 @@ class TensorCameras:
         self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device; depth in metres."""
+        """Return pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device.
+
+        Depths are in metres.
+        """
         return {name: t[0] for name, t in self._taken((view,), outputs).items()}
 
     def _taken(self, views: Sequence[str], outputs: Sequence[Output]) -> dict[str, Tensor]:
@@ -163,7 +166,7 @@ class TensorCameras:
 
 
 def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
-    """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
+    """Return a home with one robot and one person in it. Robot and person have the same slots in all homes."""
     from h3data_gpu import GpuScene
 
     skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)

@@ -95,11 +95,11 @@ class TouchTest:
         )
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Returns whether they touch, bool [W]."""
+        """Return whether they touch, bool [W]."""
         return self.gap(robot, human) <= 0.0
 
     def gap(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Returns the gap between them [W] [m], exact where it is less than 4 cm; negative: they overlap."""
+        """Return the gap between them [W] [m], exact where it is less than 4 cm; negative: they overlap."""
         gap = human.xz - robot.xz
         ahead = heading_direction(robot.heading)
         turn = human.heading - robot.heading

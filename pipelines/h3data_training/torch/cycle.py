@@ -26,23 +26,23 @@ class WalkingCycle:
     human: Humanoid
     clip: int
     blends: int
-    """Blends in the tables: those that a person goes through when setting off and stopping."""
+    """Number of blends in the tables: those that a person goes through when setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:
-        """The clip for the walker's speed."""
+        """Return the clip for the walker's speed."""
         clip = human.clip_for_speed(walker.speed_mps)
         return cls(human=human, clip=clip, blends=math.ceil(walker.blend_s / STEP_S - 1e-9) + 1)
 
     def joint_matrices(self) -> Array:
-        """Frames of the joints in the frame of the root, one row of a table each: [PHASES * 2 * blends, 55, 4, 4]."""
+        """Return frames of the joints in the frame of the root, one row of a table each: [PHASES * 2 * blends, 55, 4, 4]."""
         ends = (np.arange(PHASES)[:, None] + (0.0, 1.0 - 1e-9)).ravel() / PHASES
         phase, blend = (g.ravel() for g in np.meshgrid(ends, np.linspace(0, 1, self.blends), indexing="ij"))
         posture = self.human.clip_pose(np.full(phase.size, self.clip), phase, blend)
         return self.human.joint_matrices(np.tile(IDENTITY_POSE, (phase.size, 1)), *posture)
 
     def look_up(self, table: Tensor, person: HumanTensors) -> Tensor:
-        """Looks up a table [PHASES * 2 * blends, ...] for people: [W, ...], bilinear in phase and blend."""
+        """Look up a table [PHASES * 2 * blends, ...] for people: [W, ...], bilinear in phase and blend."""
         clip = self.human.clips[self.clip]
         phase = (person.distance - person.set_off) / clip.stride_m + clip.start_phase
         part = (phase - phase.floor()) * PHASES

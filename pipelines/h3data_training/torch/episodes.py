@@ -64,7 +64,7 @@ class EpisodeBank:
         robot: str = "quad_arm",
         human: str = "female_0",
     ) -> EpisodeBank:
-        """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
+        """Return the first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
         ``task`` is social navigation by default, and ``spec`` its rules.
 
@@ -112,7 +112,7 @@ class EpisodeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[EpisodeBank]) -> EpisodeBank:
-        """The episodes of several banks, one after the other."""
+        """Return the episodes of several banks, one after the other."""
         longest = max(bank.way_points.shape[1] for bank in banks)
         first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
 
@@ -136,7 +136,7 @@ class EpisodeBank:
 
 
 def _columns(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Entries that are numbers, and of one shape in all episodes, as arrays [N, ...]."""
+    """Return entries that are numbers, and of one shape in all episodes, as arrays [N, ...]."""
     found = {}
     for name in of_episodes[0]:
         try:

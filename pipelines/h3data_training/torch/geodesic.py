@@ -90,7 +90,7 @@ class Lattices:
         )
 
     def at(self, place: Tensor) -> Lattices:
-        """The lattice of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
+        """Return the lattice of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
         if len(self.step) == 1:
             return self
         rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
@@ -121,7 +121,7 @@ def shortest_path(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> Sho
 
 
 def _through_nodes(lattices: Lattices, ends: Tensor) -> ShortestPath:
-    """The shortest way between ``ends`` [2, W, 2] through a node beside each."""
+    """Return the shortest way between ``ends`` [2, W, 2] through a node beside each."""
     f = torch.addcmul(lattices.shift, lattices.scale, ends)
     low = torch.minimum((f.floor() - (AROUND // 2 - 1)).clamp_min(0.0), lattices.top)
     k = torch.arange(AROUND**2, device=ends.device)

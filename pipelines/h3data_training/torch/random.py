@@ -26,7 +26,7 @@ def keys(seeds: Sequence[int], stream: str, *, device: torch.device | str, world
 
 
 def random(key: Tensor, step: Tensor, count: int) -> Tensor:
-    """The first ``count`` numbers in [0, 1) of the generators of ``key`` [W, 2] at ``step`` [W], float64 [W, count]."""
+    """Return the first ``count`` numbers in [0, 1) of the generators of ``key`` [W, 2] at ``step`` [W], float64 [W, count]."""
     return ((bits(key, step, count) >> 11) & (2**53 - 1)).double() * 2.0**-53
 
 
@@ -50,7 +50,7 @@ def _philox(words: list[Tensor], key: list[Tensor]) -> list[Tensor]:
 
 
 def _multiply(a: Tensor, b: int) -> tuple[Tensor, Tensor]:
-    """The upper and the lower 64 bits of an unsigned product, both held in int64."""
+    """Return the upper and the lower 64 bits of an unsigned product, both held in int64."""
     a0, a1, b0, b1 = a & _LOW, _upper(a), b & _LOW, b >> 32
     middle = a1 * b0 + _upper(a0 * b0)
     cross = a0 * b1 + (middle & _LOW)
@@ -62,5 +62,5 @@ def _upper(a: Tensor) -> Tensor:
 
 
 def _signed(number: int) -> int:
-    """An unsigned number of 64 bits as torch holds it."""
+    """Return an unsigned number of 64 bits as torch holds it."""
     return (number + 2**63) % 2**64 - 2**63

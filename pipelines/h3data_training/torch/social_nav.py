@@ -56,11 +56,11 @@ class SocialNavTensors(TaskTensors):
         return play.memory["followed"] >= self.paper.follow_steps
 
     def path_to_person(self, play: Play) -> ShortestPath:
-        """The shortest paths from robots to people, which are known."""
+        """Return the shortest paths from robots to people, which are known."""
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Returns the observations of `ON_DEVICES`, float32 [W, n] each.
+        """Return the observations of `ON_DEVICES`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.
@@ -71,5 +71,5 @@ class SocialNavTensors(TaskTensors):
 
 
 def _distance(geodesic: Tensor, gap: Tensor) -> Tensor:
-    """Length of the shortest path, or the straight distance where there is none, [W] [m]."""
+    """Return the length of the shortest path, or the straight distance where there is none, [W] [m]."""
     return torch.where(geodesic.isfinite(), geodesic, torch.hypot(gap[:, 0], gap[:, 1]))

@@ -27,12 +27,12 @@ class RobotTensors(NamedTuple):
 
     @classmethod
     def of(cls, state: RobotState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """The robots on a device."""
+        """Return the robots on a device."""
         xz, heading = _on_device([state.xz, state.heading], device, dtype)
         return cls(xz, heading, torch.tensor(state.contact, device=device))
 
     def put(self, state: RobotState) -> None:
-        """Copy them into arrays; this waits for the device."""
+        """Copy the robots into arrays; this waits for the device."""
         for array, tensor in zip([state.xz, state.heading, state.contact], self, strict=True):
             array[:] = tensor.cpu().numpy()
 
@@ -51,11 +51,11 @@ class HumanTensors(NamedTuple):
 
     @classmethod
     def of(cls, state: HumanState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """The people on a device."""
+        """Return the people on a device."""
         return cls(*_on_device([getattr(state, name) for name in cls._fields], device, dtype))
 
     def put(self, state: HumanState) -> None:
-        """Copy them into arrays; this waits for the device."""
+        """Copy the people into arrays; this waits for the device."""
         for name, tensor in self._asdict().items():
             getattr(state, name)[:] = tensor.cpu().numpy()
 

@@ -50,7 +50,7 @@ class Floor(Protocol):
 
 
 def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
-    """Checks that floors have no stairs, which devices do not support.
+    """Check that floors have no stairs, which devices do not support.
 
     Raises:
         InputError: a floor has stairs; the message says to leave the ``home`` out.
@@ -110,7 +110,7 @@ class Grids:
         )
 
     def at(self, place: Tensor) -> Grids:
-        """The grid of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
+        """Return the grid of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
         if len(self.cell) == 1:
             return self
         rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
@@ -146,7 +146,7 @@ def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """The angle in [-pi, pi)."""
+    """Return the angle in [-pi, pi)."""
     return torch.sub(angle, torch.floor(angle / (2.0 * math.pi) + 0.5), alpha=2.0 * math.pi)
 
 
@@ -156,7 +156,7 @@ def heading_direction(heading: Tensor) -> Tensor:
 
 
 def least_clearance(grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequence[float]) -> Tensor:
-    """Smallest signed distance [...] [m] from the centres of the base's discs to an obstacle."""
+    """Return the smallest signed distance [...] [m] from the centres of the base's discs to an obstacle."""
     centres = torch.stack([torch.add(xz, direction, alpha=offset) for offset in offsets])
     return sample_sdf(grids, centres).distance.amin(0)
 
@@ -175,7 +175,7 @@ def push_out(
 
 
 def integrate(xz: Tensor, direction: Tensor, speed: Tensor, lateral: Tensor | None, dt: float) -> Tensor:
-    """Returns the free motion of bases, [W, 2]: along their old axes (spec/habitat.md 0)."""
+    """Return the free motion of bases, [W, 2]: along their old axes (spec/habitat.md 0)."""
     moved = torch.addcmul(xz, direction, speed[:, None], value=dt)
     if lateral is None:
         return moved
@@ -234,7 +234,7 @@ class Velocities(NamedTuple):
 
 
 def velocities(action: Tensor, spec: BaseSpec) -> Velocities:
-    """Returns the velocities of actions [W, 2 or 3], each clipped to -1..1 of the limits."""
+    """Return the velocities of actions [W, 2 or 3], each clipped to -1..1 of the limits."""
     speed = action[:, 0].clamp(-float(spec.allow_back), 1.0) * spec.max_speed_mps
     lateral = action[:, 2].clamp(-1.0, 1.0) * spec.max_lateral_mps if action.shape[1] > 2 else None
     return Velocities(speed, lateral, action[:, 1].clamp(-1.0, 1.0) * spec.max_turn_rad_s)
@@ -243,7 +243,7 @@ def velocities(action: Tensor, spec: BaseSpec) -> Velocities:
 def drive_robots(
     grids: Grids, robot: RobotTensors, action: Tensor, spec: BaseSpec, *, dt: float = STEP_S
 ) -> RobotTensors:
-    """The robots after ``action`` [W, 2], or [W, 3] with sideways, as `sim_kinematic.motion.step.drive_robots`.
+    """Return the robots after ``action`` [W, 2], or [W, 3] with sideways, as `sim_kinematic.motion.step.drive_robots`.
 
     Nothing waits for the device, so nothing is refused: a number of an action that is not finite counts as 0.
     """

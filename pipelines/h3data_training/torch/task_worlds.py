@@ -144,7 +144,7 @@ class TensorWorld(NamedTuple):
     """Outlines of the agents on the floor."""
 
     def heights(self, xz: Tensor) -> Tensor:
-        """Heights of the floor at places, [W] [m]: floors are level."""
+        """Return heights of the floor at places, [W] [m]: floors are level."""
         del xz
         return self.floor_y
 
@@ -157,7 +157,7 @@ class TensorWorld(NamedTuple):
         return free_along(self.grids, xz, headings, max_m)
 
     def circles(self, agent: int, *, legs: bool = False) -> Tensor:
-        """The other agent as circles ``(x, z, radius)`` [W, N, 3] [m], as `sim_kinematic.world.World.circles`."""
+        """Return the other agent as circles ``(x, z, radius)`` [W, N, 3] [m], as `sim_kinematic.world.World.circles`."""
         robot, human = self.state.agents
         if agent != ROBOT:
             ahead = heading_direction(robot.heading)[:, None] * self.outlines.offsets[:, None]
@@ -185,11 +185,11 @@ class TensorRollout:
         self.spec, self.steps, self.world, self.memory = sim.spec, now.steps, sim.world(now), memory
 
     def extra(self, name: str) -> Tensor:
-        """An entry of `Episode.extra` of every world, [W, ...]."""
+        """Return an entry of `Episode.extra` of every world, [W, ...]."""
         return self._sim.extra(name)[self._now.episode]
 
     def path_length(self, agent: int, points: Tensor) -> Tensor:
-        """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
         return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
@@ -263,7 +263,7 @@ class TaskTensors:
         return 3 if self.spec.robot.max_lateral_mps else 2
 
     def place_of(self, play: Play) -> Tensor:
-        """Number of the scene of the bank that each world is in, [W]."""
+        """Return the number of the scene of the bank that each world is in, [W]."""
         return self._place[play.episode]
 
     def world(self, play: Play) -> TensorWorld:
@@ -281,16 +281,16 @@ class TaskTensors:
         )
 
     def path_between(self, play: Play, start: Tensor, end: Tensor) -> ShortestPath:
-        """The shortest paths between points [W, 2]."""
+        """Return the shortest paths between points [W, 2]."""
         place = self.place_of(play)
         return shortest_path(self._grids.at(place), self._lattices.at(place), start, end)
 
     def path_to_person(self, play: Play) -> ShortestPath:
-        """The shortest paths from robots to people."""
+        """Return the shortest paths from robots to people."""
         return self.path_between(play, play.robot.xz, play.human.xz)
 
     def extra(self, name: str) -> Tensor:
-        """An entry of `Episode.extra` of all episodes of the bank, [N, ...].
+        """Return an entry of `Episode.extra` of all episodes of the bank, [N, ...].
 
         Raises:
             InputError: they have no such entry of numbers.
@@ -311,7 +311,7 @@ class TaskTensors:
         return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
 
     def step(self, play: Play, action: Tensor) -> Play:
-        """All worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
+        """Return all worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
         spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
         episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
         row = episode * legs
@@ -399,7 +399,7 @@ class TaskTensors:
         return SensorContext(self.spec, self.base, play.memory, (), world, ROBOT, *agents, *touched, arm, path, torch)  # type: ignore[arg-type]
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Sensors of the robot by name, float32 [W, n] each."""
+        """Return sensors of the robot by name, float32 [W, n] each."""
         sensors, moment = self.task.sensors("robot"), self.context(play)
         return {name: sensed(name, sensors[name], moment, self.task.name, "robot").float() for name in names}
 
@@ -436,12 +436,12 @@ class TaskTensors:
 
 
 def typed(values: Any, dtype: torch.dtype) -> Tensor:
-    """A tensor of numbers in the type of the state."""
+    """Return a tensor of numbers in the type of the state."""
     return values.to(dtype) if isinstance(values, Tensor) and values.is_floating_point() else values
 
 
 def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
-    """Raises a TypeError for a value that is no tensor without data with a row for each world."""
+    """Raise a TypeError for a value that is no tensor without data with a row for each world."""
     for name, value in values.items():
         if not isinstance(value, Tensor):
             raise TypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
@@ -466,7 +466,7 @@ def in_words(which: str) -> Iterator[None]:
 
 
 def on_meta(thing: Any) -> Any:
-    """The same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
+    """Return the same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
     for name, value in vars(thing).items():
         if isinstance(value, Tensor):
             object.__setattr__(thing, name, value.to("meta"))

@@ -24,7 +24,7 @@ _SQUARE = 1e-6
 
 
 def is_collider(prim: Any) -> bool:
-    """Returns whether things collide with a prim."""
+    """Return whether things collide with a prim."""
     physics = pxr("UsdPhysics")
     return prim.HasAPI(physics.CollisionAPI) and physics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
 
@@ -32,7 +32,7 @@ def is_collider(prim: Any) -> bool:
 def collider_shapes(
     opened: OpenStage, prim: Any, mesh: Mesh | None, matrix: NDArray[np.float64], *, moves: bool
 ) -> list[Shape]:
-    """The shapes of a collider in the frame of its asset.
+    """Return the shapes of a collider in the frame of its asset.
 
     Args:
         opened: The stage.
@@ -71,7 +71,7 @@ def collider_shapes(
 
 
 def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
-    """The convex hull of each connected piece of a mesh, or one of all if there are many."""
+    """Return the convex hull of each connected piece of a mesh, or one of all if there are many."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -89,7 +89,7 @@ def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
 
 
 def hull_around(points: Array) -> Shape:
-    """The convex hull of points [N, 3]; a box if they are flat."""
+    """Return the convex hull of points [N, 3]; a box if they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -99,7 +99,7 @@ def hull_around(points: Array) -> Shape:
 
 
 def box_around(points: Array) -> Box:
-    """The box along the axes around points [N, 3]."""
+    """Return the box along the axes around points [N, 3]."""
     low, high = np.asarray(points.min(0), np.float64), np.asarray(points.max(0), np.float64)
     pose = np.concatenate([(low + high) / 2, IDENTITY_QUAT])
     return Box(pose=pose, half_extents=np.maximum((high - low) / 2, HALF_MIN_M))
@@ -138,7 +138,7 @@ def _cylinder(matrix: NDArray[np.float64], axis: NDArray[np.float64], radius: fl
 
 
 def _rigid(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """The rigid part [4, 4] of a matrix and its scale per axis [3]; None if its axes are not square to each other."""
+    """Return the rigid part [4, 4] of a matrix and its scale per axis [3]; None if its axes are not square to each other."""
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
     if not scale.all():
         return None

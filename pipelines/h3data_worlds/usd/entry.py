@@ -12,7 +12,7 @@ from h3data_worlds.usd.stages import USD_ENDINGS
 
 
 def read_scene(file: SceneFile) -> Scene:
-    """Reads a USD file with the options of the file; fails as `h3data_worlds.usd.reading.read_usd` does."""
+    """Read a USD file with the options of the file; fail as `h3data_worlds.usd.reading.read_usd` does."""
     path = Path(file.path)
 
     def read() -> tuple[Scene, Sequence[str] | None]:
@@ -24,7 +24,7 @@ def read_scene(file: SceneFile) -> Scene:
 
 
 def write_scene(scene: Scene, path: Path) -> Sequence[Path]:
-    """Writes a USD file; see `h3data_worlds.usd.writing.write_usd`, which is imported at first use."""
+    """Write a USD file; see `h3data_worlds.usd.writing.write_usd`, which is imported at first use."""
     from h3data_worlds.usd.writing import write_usd
 
     return write_usd(scene, path)

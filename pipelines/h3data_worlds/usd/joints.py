@@ -49,7 +49,7 @@ class JointReader:
     def read(
         self, prims: Iterable[Any], members: Mapping[str, list[str]], names: Mapping[str, str]
     ) -> list[Articulation]:
-        """The things that open.
+        """Return the things that open.
 
         Args:
             prims: All joints of the stage.
@@ -109,7 +109,7 @@ class JointReader:
     def _parts(
         self, group: list[_Link], jointed: Mapping[str, _Link], carried: Mapping[str, list[str]], root: str
     ) -> list[Part]:
-        """The parts of a thing, each after the one that it hangs on; without those that hold no instance."""
+        """Return the parts of a thing, each after the one that it hangs on; without those that hold no instance."""
         back = np.linalg.inv(self._frame(root))
         # a file lists joints in any order, while a part may only name one that comes before it
         waiting, made, parts = list(group), dict[str, str](), list[Part]()
@@ -151,7 +151,7 @@ class JointReader:
         return link.stands_on or link.path.rpartition("/")[0]
 
     def _frame(self, path: str) -> NDArray[np.float64]:
-        """The frame of a prim in the world, +Y up, in metres, without its scale."""
+        """Return the frame of a prim in the world, +Y up, in metres, without its scale."""
         prim = self.opened.stage.GetPrimAtPath(path) if path else None
         if not prim:
             return np.eye(4)
@@ -192,7 +192,7 @@ class JointReader:
         )  # fmt: skip
 
     def _limits(self, prim: Any, kind: str) -> tuple[float, float]:
-        """The limits of a joint [rad or m]; a hinge without limits turns half around both ways, a slide is held."""
+        """Return the limits of a joint [rad or m]; a hinge without limits turns half around both ways, a slide is held."""
         low, high = (prim.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper"))
         low, high = (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
         if np.isnan(low) or np.isnan(high):
@@ -204,7 +204,7 @@ class JointReader:
         return low * self.opened.metres, high * self.opened.metres
 
     def _joint_frame(self, joint: Any, number: int, target: str) -> NDArray[np.float64]:
-        """The frame of a joint at one of its bodies, in the world, +Y up, in metres, without scale."""
+        """Return the frame of a joint at one of its bodies, in the world, +Y up, in metres, without scale."""
         position = getattr(joint, f"GetLocalPos{number}Attr")().Get()
         turn = getattr(joint, f"GetLocalRot{number}Attr")().Get()
         local = np.eye(4)
@@ -223,12 +223,12 @@ class JointReader:
         return str(targets[0]) if targets else ""
 
     def _body_at(self, path: str, members: Mapping[str, list[str]]) -> str:
-        """The rigid body at or above a prim; empty if it stands still."""
+        """Return the rigid body at or above a prim; empty if it stands still."""
         return next((p for p in (path, *_above(path)) if p in members), "") if path else ""
 
 
 def _position(kind: str, first: NDArray[np.float64], second: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
-    """The position of a joint by the frames of both bodies [rad or m]."""
+    """Return the position of a joint by the frames of both bodies [rad or m]."""
     between = np.linalg.inv(first) @ second
     if kind == "prismatic":
         return float(axis @ between[:3, 3])
@@ -239,7 +239,7 @@ def _position(kind: str, first: NDArray[np.float64], second: NDArray[np.float64]
 
 
 def _unscaled(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest rigid matrix with the same place."""
+    """Return the nearest rigid matrix with the same place."""
     u, _, vt = np.linalg.svd(np.nan_to_num(matrix[:3, :3]))
     u[:, 2] *= np.sign(np.linalg.det(u @ vt)) or 1.0
     out = matrix.copy()
@@ -248,7 +248,7 @@ def _unscaled(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _above(path: str) -> list[str]:
-    """Paths of a prim's ancestors, from its parent up."""
+    """Return paths of a prim's ancestors, from its parent up."""
     out = []
     while (path := path.rpartition("/")[0]) != "":
         out.append(path)

@@ -14,7 +14,7 @@ MAX_CORNERS = 1000
 def triangles_of(
     points: Array, counts: NDArray[np.int64], indices: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles [F, 3] of polygons as places in ``indices``, and the polygon of each [F].
+    """Return triangles [F, 3] of polygons as places in ``indices``, and the polygon of each [F].
 
     Args:
         points: Vertices [N, 3].
@@ -48,7 +48,7 @@ def triangles_of(
 
 
 def _ears(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangles [N - 2, 3] of one polygon [N, 3], by cutting off ears: convex corners with no other corner inside."""
+    """Return triangles [N - 2, 3] of one polygon [N, 3], by cutting off ears: convex corners with no other corner inside."""
     side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     axes = np.stack([side, np.cross(normal, side) / np.linalg.norm(normal)], -1)
     flat = np.asarray(points @ axes, np.float64)
@@ -61,7 +61,7 @@ def _ears(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[n
 
 
 def _is_ear(flat: NDArray[np.float64], k: int) -> bool:
-    """Returns whether corner ``k`` of a counter-clockwise polygon [N, 2] can be cut off."""
+    """Return whether corner ``k`` of a counter-clockwise polygon [N, 2] can be cut off."""
     triangle = np.stack([flat[k - 1], flat[k], flat[(k + 1) % len(flat)]])
     if _turn(triangle[0], triangle[1], triangle[2][None])[0] <= 0:
         return False

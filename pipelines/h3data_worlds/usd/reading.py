@@ -37,7 +37,7 @@ _EMPTY = Mesh(
 
 
 def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) -> tuple[Scene, list[str] | None]:
-    """The scene of a USD file, and the files on which it depends; None for them if some are missing.
+    """Return the scene of a USD file, and the files on which it depends; None for them if some are missing.
 
     `Scene.source` has what was left out or guessed (``warnings``). The world of the scene has +Y up and metres, whatever the
     stage has (``upAxis``, ``metersPerUnit``).
@@ -97,7 +97,7 @@ class _StageReader:
         """True if a stage of ours no longer has all that we wrote."""
 
     def read(self) -> tuple[Scene, list[str], list[str]]:
-        """The scene, what was left out or guessed, and which files are missing."""
+        """Return the scene, what was left out or guessed, and which files are missing."""
         notes = self.surfaces.notes
         self.finder.walk()
         notes |= self.finder.notes
@@ -141,7 +141,7 @@ class _StageReader:
 
     # --- instances ------------------------------------------------------------------------------------------------------
     def _instances(self) -> tuple[list[Instance], dict[str, str], dict[str, list[str]]]:
-        """The instances; their names by path; the names of those of each rigid body, by its path."""
+        """Return the instances; their names by path; the names of those of each rigid body, by its path."""
         out: list[Instance] = []
         names: dict[str, str] = {}
         members: dict[str, list[str]] = {}
@@ -172,7 +172,7 @@ class _StageReader:
         return out, names, members
 
     def _jointed(self) -> set[str]:
-        """Paths of prims that joints name as bodies."""
+        """Return paths of prims that joints name as bodies."""
         out: set[str] = set()
         for prim in self.finder.joints:
             for name in ("physics:body0", "physics:body1"):
@@ -201,7 +201,7 @@ class _StageReader:
         return made
 
     def _our_asset(self, key: str, thing: Thing) -> str:
-        """The asset of an instance of ours: its record, which meshes and colliders of the stage may have changed."""
+        """Return the asset of an instance of ours: its record, which meshes and colliders of the stage may have changed."""
         if key in self.assets:
             return key
         record = self.finder.assets.get(key) or records_of(
@@ -256,7 +256,7 @@ class _StageReader:
         )
 
     def _is_held(self, thing: Thing) -> bool:
-        """Returns whether a body follows its animation only, so that nothing moves it."""
+        """Return whether a body follows its animation only, so that nothing moves it."""
         prim = self.opened.stage.GetPrimAtPath(thing.body)
         return bool(prim and prim.GetAttribute("physics:kinematicEnabled").Get())
 
@@ -327,7 +327,7 @@ def _same_joint(old: Part, new: Part) -> bool:
 
 
 def _same_shapes(old: Sequence[Shape], new: Sequence[Shape]) -> bool:
-    """Returns whether shapes of a stage are those of our record, within the precision of the stage."""
+    """Return whether shapes of a stage are those of our record, within the precision of the stage."""
     if [type(s) for s in old] != [type(s) for s in new]:
         return False
     for a, b in zip(old, new, strict=True):
@@ -353,7 +353,7 @@ def _asset_record(opened: OpenStage, key: str) -> Mapping[str, Any]:
 
 
 def _rigid_part(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation nearest to a matrix [4, 4], with its place."""
+    """Return the rotation nearest to a matrix [4, 4], with its place."""
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     u[:, 2] *= np.sign(np.linalg.det(u @ vt))
     out = matrix.copy()
@@ -362,7 +362,7 @@ def _rigid_part(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _moved(mesh: Mesh, matrix: NDArray[np.float64]) -> Mesh:
-    """The mesh under a matrix [4, 4] that may scale, shear and mirror."""
+    """Return the mesh under a matrix [4, 4] that may scale, shear and mirror."""
     if np.array_equal(matrix, np.eye(4)):
         return mesh
     normals = mesh.normals
@@ -375,7 +375,7 @@ def _moved(mesh: Mesh, matrix: NDArray[np.float64]) -> Mesh:
 
 
 def _category(thing: Thing) -> str:
-    """The semantic class of a thing: its label, or the kind that its name begins with; ``stage`` for loose surfaces."""
+    """Return the semantic class of a thing: its label, or the kind that its name begins with; ``stage`` for loose surfaces."""
     if thing.label:
         return re.sub(r"[^a-z0-9]+", "_", thing.label.lower()).strip("_") or "object"
     plain = re.sub(r"[\d_]+$", "", thing.prim.GetName().lower())
@@ -395,7 +395,7 @@ class _Names:
         self._last: dict[str, int] = {}
 
     def take(self, name: str, beside: Container[str] = ()) -> str:
-        """The name, with a number behind it if others have it, also among those in ``beside``."""
+        """Return the name, with a number behind it if others have it, also among those in ``beside``."""
         number, made = self._last.get(name, 1), name
         while made in self._last or made in beside:
             number += 1

@@ -22,7 +22,7 @@ _UNITS_M = (1e-6, 1e6)
 
 
 def pxr(module: str) -> Any:
-    """A module of usd-core, such as ``UsdGeom``.
+    """Return a module of usd-core, such as ``UsdGeom``.
 
     Raises:
         MissingExtraError: the extra ``usd`` is not installed.
@@ -35,7 +35,7 @@ def pxr(module: str) -> Any:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps USD from printing."""
+    """Keep USD from printing."""
     delegate = pxr("UsdUtils").CoalescingDiagnosticDelegate()
     try:
         yield
@@ -45,7 +45,7 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Keeps USD from printing, and names a file in which it finds damage: much of a file is only decoded when it is used.
+    """Keep USD from printing, and name a file in which it finds damage: much of a file is only decoded when it is used.
 
     Raises:
         FormatError: the file, or one that it refers to, is damaged.
@@ -76,13 +76,13 @@ class OpenStage:
     """Other faults of composition, such as references in a circle."""
 
     def in_metres(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A transform [4, 4] between frames of the stage as one between the same frames with +Y up, in metres."""
+        """Return a transform [4, 4] between frames of the stage as one between the same frames with +Y up, in metres."""
         out = self.turn @ matrix @ self.turn.T
         out[:3, 3] *= self.metres
         return out
 
     def points(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points [N, 3] of a frame of the stage in that frame with +Y up [m]."""
+        """Return points [N, 3] of a frame of the stage in that frame with +Y up [m]."""
         return self.metres * (np.asarray(points, np.float64) @ self.turn[:3, :3].T)
 
     def directions(self, vectors: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -91,7 +91,7 @@ class OpenStage:
 
 
 def open_stage(path: Path) -> OpenStage:
-    """Opens a USD file with all its payloads.
+    """Open a USD file with all its payloads.
 
     Raises:
         MissingExtraError: usd-core is not installed.
@@ -123,7 +123,7 @@ def open_stage(path: Path) -> OpenStage:
 
 
 def _refuse_outside(stage: Any, path: Path) -> None:
-    """Refuses a package that refers to layers outside itself: whoever made it cannot know what lies there."""
+    """Refuse a package that refers to layers outside itself: whoever made it cannot know what lies there."""
     inside = (f"{path.resolve()}[", f"{path}[", f"{path.absolute()}[")
     for layer in stage.GetUsedLayers():
         name = layer.realPath or layer.identifier
@@ -142,12 +142,12 @@ def is_inside(resolved: str, path: Path) -> bool:
 
 
 def _asset(text: str) -> str:
-    """The path of the missing file in an error of composition: ``Could not open asset @path@ ...``."""
+    """Return the path of the missing file in an error of composition: ``Could not open asset @path@ ...``."""
     return text.partition("@")[2].partition("@")[0] or text[:120]
 
 
 def _reason(fault: BaseException) -> str:
-    """The first thing that USD says about a file, without the places in its own source."""
+    """Return the first thing that USD says about a file, without the places in its own source."""
     try:
         text = " ".join(str(fault).split())
     except UnicodeDecodeError as undecoded:  # USD quotes the file in its words

@@ -54,7 +54,7 @@ class SurfaceReader:
     _images: dict[str, Texture | None] = field(default_factory=dict)
 
     def mesh(self, prim: Any) -> Mesh | None:
-        """The mesh of a prim in its own frame, +Y up [m]; None, with a note, if it has no triangles that can be used."""
+        """Return the mesh of a prim in its own frame, +Y up [m]; None, with a note, if it has no triangles that can be used."""
         maker = MAKERS.get(prim.GetTypeName())
         if maker is None:
             self.notes[f"{prim.GetTypeName()} prims are not read, such as {prim.GetPath()}"] = None
@@ -108,7 +108,7 @@ class SurfaceReader:
         self, gprim: Any, points: NDArray[Any], counts: NDArray[Any], indices: NDArray[Any], corners: NDArray[Any],
         face_of: NDArray[Any],
     ) -> Mesh:  # fmt: skip
-        """The mesh of triangles given as corners [F, 3] of polygons, each of the polygon ``face_of`` [F]."""
+        """Return the mesh of triangles given as corners [F, 3] of polygons, each of the polygon ``face_of`` [F]."""
         looks, look_of_face = self._looks_of(gprim.GetPrim(), len(counts))
         look_of = look_of_face[face_of]
         values: dict[str, tuple[NDArray[Any], str]] = {}
@@ -186,7 +186,7 @@ class SurfaceReader:
         return _variable(named[0]) if named else None
 
     def _looks_of(self, prim: Any, faces: int) -> tuple[list[Look], NDArray[np.int64]]:
-        """The materials of a mesh and the number of each face's, shape [faces]."""
+        """Return the materials of a mesh and the number of each face's, shape [faces]."""
         shade, geom = pxr("UsdShade"), pxr("UsdGeom")
         looks, of_face = [self._bound(prim)], np.zeros(faces, np.int64)
         subsets = shade.MaterialBindingAPI(prim).GetMaterialBindSubsets() if prim.IsA(geom.Mesh) else ()
@@ -271,7 +271,7 @@ class SurfaceReader:
 
     # --- other prims ----------------------------------------------------------------------------------------------------
     def painted(self, prim: Any, mesh: Mesh) -> Mesh:
-        """The mesh of a prim without points, in the colour of its material or its own."""
+        """Return the mesh of a prim without points, in the colour of its material or its own."""
         look = self._bound(prim)
         display = _variable(pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("displayColor"))
         color = look.color or (tuple(display[0][0]) if display is not None and len(display[0]) else _GRAY)
@@ -283,7 +283,7 @@ class SurfaceReader:
 
 
 def prim_size(prim: Any, name: str, default: float, *, least: float = 1e-9) -> float:
-    """A positive length of a prim, in units of the stage; ``default`` if it has none.
+    """Return a positive length of a prim, in units of the stage; ``default`` if it has none.
 
     Raises:
         ValueError: it is not a positive number.
@@ -296,7 +296,7 @@ def prim_size(prim: Any, name: str, default: float, *, least: float = 1e-9) -> f
 
 
 def prim_axis(prim: Any) -> NDArray[np.float64]:
-    """The unit vector [3] of a prim's axis, in its own frame."""
+    """Return the unit vector [3] of a prim's axis, in its own frame."""
     axis = str(prim.GetAttribute("axis").Get() or "Z")
     return np.eye(3)["XYZ".find(axis)] if axis in "XYZ" else np.eye(3)[2]
 
@@ -326,7 +326,7 @@ def _capsule(reader: SurfaceReader, prim: Any) -> Mesh:
 
 
 def _tapered(reader: SurfaceReader, prim: Any, tip: float) -> Mesh:
-    """A cylinder, or a cone whose tip has a share of its radius, about the prim's axis."""
+    """Return a cylinder, or a cone whose tip has a share of its radius, about the prim's axis."""
     sides, k = 24, int(np.argmax(prim_axis(prim)))
     radius, half = prim_size(prim, "radius", 1.0), prim_size(prim, "height", 2.0) / 2
     angle = np.arange(sides) * 2 * np.pi / sides
@@ -363,7 +363,7 @@ MAKERS: dict[str, Callable[[SurfaceReader, Any], Mesh | None]] = {
 
 
 def _array(value: Any, columns: int) -> NDArray[Any]:
-    """An array of a stage; empty if it is not given."""
+    """Return an array of a stage; empty if it is not given."""
     if value is None:
         return np.zeros((0, columns) if columns else 0)
     array = np.asarray(value)
@@ -371,7 +371,7 @@ def _array(value: Any, columns: int) -> NDArray[Any]:
 
 
 def _variable(variable: Any) -> tuple[NDArray[Any], str] | None:
-    """Values [N, C] of a primvar, without indices, and its interpolation; None if there is none."""
+    """Return values [N, C] of a primvar, without indices, and its interpolation; None if there is none."""
     if not variable or not variable.HasValue():
         return None
     value = variable.ComputeFlattened(pxr("Usd").TimeCode.EarliestTime())
@@ -382,7 +382,7 @@ def _variable(variable: Any) -> tuple[NDArray[Any], str] | None:
 
 
 def _placed(array: NDArray[Any], kind: str, points: int, faces: int, corners: int) -> tuple[NDArray[Any], str] | None:
-    """Values with an interpolation that fits their number; None if none does."""
+    """Return values with an interpolation that fits their number; None if none does."""
     sizes = {"constant": 1, "uniform": faces, "vertex": points, "varying": points, "faceVarying": corners}
     if len(array) != sizes.get(kind, -1):
         kind = next((k for k in ("vertex", "faceVarying", "uniform", "constant") if sizes[k] == len(array)), "")
@@ -390,7 +390,7 @@ def _placed(array: NDArray[Any], kind: str, points: int, faces: int, corners: in
 
 
 def _value_of(entry: Any) -> tuple[Any, Any]:
-    """The shader that feeds an input, or None, and the input's own value."""
+    """Return the shader that feeds an input, or None, and the input's own value."""
     if not entry:
         return None, None
     for attribute in entry.GetValueProducingAttributes():

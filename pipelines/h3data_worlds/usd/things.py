@@ -77,12 +77,12 @@ def records_of(prim: Any) -> Mapping[str, Any]:
 
 
 def matrix_of(value: Any) -> NDArray[np.float64]:
-    """A `Gf.Matrix4d`, which acts on rows, as a matrix [4, 4] that acts on columns."""
+    """Return a `Gf.Matrix4d`, which acts on rows, as a matrix [4, 4] that acts on columns."""
     return np.array(value, np.float64).T
 
 
 def label_of(prim: Any) -> str:
-    """The semantic label of a prim itself: of UsdSemantics, or as Isaac wrote it before; empty if it has none."""
+    """Return the semantic label of a prim itself: of UsdSemantics, or as Isaac wrote it before; empty if it has none."""
     labels = pxr("UsdSemantics").LabelsAPI
     for taxonomy in sorted(labels.GetDirectTaxonomies(prim), key=lambda name: name != "class"):
         found = labels(prim, taxonomy).GetLabelsAttr().Get()

@@ -53,7 +53,7 @@ _LIGHT_UNIT = 1000.0
 
 
 def write_usd(scene: Scene, path: str | os.PathLike[str]) -> list[Path]:
-    """Writes a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and returns the files: textures lie beside it.
+    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files: textures lie beside it.
 
     A ``.usdz`` holds its textures; the others have them as PNG in a folder ``<name>_textures``.
 
@@ -98,7 +98,7 @@ def _copied(file: Path, target: Path) -> Path:
 
 
 def _identifier(text: str) -> str:
-    """A name that USD allows for prims."""
+    """Return a name that USD allows for prims."""
     clean = re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
     return f"_{clean}" if clean[0].isdigit() else clean
 
@@ -127,7 +127,7 @@ class _Textures:
         self.files: list[Path] = []
 
     def path(self, texture: Texture) -> str:
-        """Path of the texture's file, relative to the stage."""
+        """Return the path of the texture's file, relative to the stage."""
         if id(texture) not in self._paths:
             file = self._beside / self.folder / f"{self._names(texture.name or 'texture')}.png"
             file.parent.mkdir(exist_ok=True)
@@ -149,7 +149,7 @@ class _StageWriter:
         """Path of the prim below which an instance lies that a joint moves, or that is the base of a thing, by its name."""
 
     def write(self) -> None:
-        """Writes everything."""
+        """Write everything."""
         scene, stage = self.scene, self.stage
         self.geom.SetStageUpAxis(stage, self.geom.Tokens.y)
         self.geom.SetStageMetersPerUnit(stage, 1.0)
@@ -261,7 +261,7 @@ class _StageWriter:
             bind.Apply(subset.GetPrim()).Bind(self._material(path, k, texture))
 
     def _material(self, asset: str, number: int, texture: Texture | None) -> Any:
-        """A matte UsdPreviewSurface of the vertex colours or of one texture, below the asset that uses it."""
+        """Return a matte UsdPreviewSurface of the vertex colours or of one texture, below the asset that uses it."""
         types = self.sdf.ValueTypeNames
         path = f"{asset}/Looks/{'Colours' if texture is None else f'Texture_{number}'}"
         self.geom.Scope.Define(self.stage, f"{asset}/Looks")
@@ -422,7 +422,7 @@ class _StageWriter:
 
 
 def _turn_from(axis: Array, to: Array) -> Array:
-    """A quaternion xyzw [4] that turns a unit vector into the direction of another; identity for a zero vector."""
+    """Return a quaternion xyzw [4] that turns a unit vector into the direction of another; identity for a zero vector."""
     length = float(np.linalg.norm(to))
     if length == 0:
         return np.array([0.0, 0.0, 0.0, 1.0])
@@ -436,7 +436,7 @@ def _turn_from(axis: Array, to: Array) -> Array:
 
 
 def _hull_faces(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangles of a convex hull, counter-clockwise from outside [F, 3]; of a flat set, a fan."""
+    """Return triangles of a convex hull, counter-clockwise from outside [F, 3]; of a flat set, a fan."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

@@ -102,7 +102,7 @@ class PersonCommand:
 
     @property
     def stands(self) -> bool:
-        """Returns whether the command only keeps the person standing: a running skill goes on under it."""
+        """Return whether the command only keeps the person standing: a running skill goes on under it."""
         return self == STAND
 
 
@@ -110,7 +110,7 @@ STAND = PersonCommand()
 
 
 def action_of(command: Any, objects: Objects, agent: int) -> Action:
-    """Converts a command for a person into the `Action` that carries it out.
+    """Convert a command for a person into the `Action` that carries it out.
 
     The command is a `PersonCommand`, one of the person's skills, a pair (forward, turn), or any object with attributes
     ``forward`` and ``turn``.
@@ -156,7 +156,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
 
 
 def command_to_json(action: Action) -> dict[str, Any]:
-    """An action as JSON types, for the recorded raw input."""
+    """Return an action as JSON types, for the recorded raw input."""
     command = str(action.command) if isinstance(action.command, Destination) else msgspec.to_builtins(action.command)
     if isinstance(action.command, Message):
         command = action.command._asdict()
@@ -182,7 +182,7 @@ def command_from_json(data: Any) -> Action:
 
 
 def interrupts_skill(action: Action) -> bool:
-    """Returns whether a command from outside interrupts a running skill; one to stand still lets it go on."""
+    """Return whether a command from outside interrupts a running skill; one to stand still lets it go on."""
     return not (isinstance(action.command, PersonCommand) and action.command.stands)
 
 

@@ -78,7 +78,10 @@ class ObjectRoom:
         return float(floor_heights(self._heights, self._floor_y, pose[[0, 2]], treads=True))
 
     def fallen(self, k: int, pose: Array) -> Array:
-        """The pose7 of object ``k`` after it has fallen straight down on what is below; one that is in something stays."""
+        """Return the pose7 of object ``k`` after it has fallen straight down on what is below.
+
+        An object that is in something stays.
+        """
         lowest = self._floor_below(pose) - self._extents[k][1] - pose[1]
         down = 0.0
         if lowest >= 0 or self._collides(k, pose, 0.0):
@@ -96,7 +99,7 @@ class ObjectRoom:
         return result
 
     def _is_inside(self, k: int, pose: Array) -> bool:
-        """Returns whether the object is in something static deeper than it may be."""
+        """Return whether the object is in something static deeper than it may be."""
         # lifted, it touches only what is beside it; `contacts` takes the shapes where this test leaves them
         return self._collides(k, pose, ROOM.sunk_m) and any(
             contact.depth_m > ROOM.inside_m or abs(contact.normal[1]) > ROOM.upright
@@ -104,7 +107,7 @@ class ObjectRoom:
         )
 
     def _collides(self, k: int, pose: Array, lift_m: float) -> bool:
-        """Returns whether the object touches something static at a pose7 that is ``lift_m`` higher."""
+        """Return whether the object touches something static at a pose7 that is ``lift_m`` higher."""
         shapes = self._shapes[k]
         frame = pose_to_matrix(pose)
         frame[1, 3] += lift_m

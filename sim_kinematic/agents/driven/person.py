@@ -89,7 +89,7 @@ class DrivenPerson(PersonActor):
 
     @property
     def _is_solid(self) -> bool:
-        """Returns whether the person slides along the discs of the others under commands."""
+        """Return whether the person slides along the discs of the others under commands."""
         return self.company is not None and self.company.solid
 
     def meets(self) -> bool:
@@ -168,7 +168,7 @@ class DrivenPerson(PersonActor):
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def start(self, action: Action) -> Skill:
-        """Begins a skill; one step of direct control counts as a skill too."""
+        """Begin a skill; one step of direct control counts as a skill too."""
         if action.skill == CONTROL:
             assert isinstance(action.command, PersonCommand)
             return self._control(action.command)
@@ -206,13 +206,13 @@ class DrivenPerson(PersonActor):
 
     @property
     def _stirs(self) -> bool:
-        """Returns whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
+        """Return whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
         person = self.person
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
         return self._drives and bool(moves or self.seat is not None or self._shares.any() or self._head.any())
 
     def _nearest_seat(self) -> SeatPlace | None:
-        """The nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
+        """Return the nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
         others = () if self.company is None else self.company.actors
         # only people who are driven have this field
         taken = [other.seat.stand for other in others if getattr(other, "seat", None) is not None]
@@ -250,7 +250,7 @@ class DrivenPerson(PersonActor):
             self._leaving = leave_seat(self._seated[0], place, self._seated[1])
 
     def _leave_seat(self) -> bool:
-        """Makes one step of getting up; False: the person stands before the seat."""
+        """Make one step of getting up; False: the person stands before the seat."""
         moved = None if self.seat is None or self._leaving is None else next(self._leaving, None)
         if self.seat is None or moved is None:
             # not before they are off the seat: feet that keep out of furniture would be pushed away from it
@@ -276,7 +276,7 @@ class DrivenPerson(PersonActor):
         return SkillResult("done")
 
     def _give(self, action: Action) -> Skill:
-        """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own.
+        """Bring the hand near the robot's; there the object changes hands, and the robot draws it into its own.
 
         The robot needs to keep still for it.
         """
@@ -308,7 +308,7 @@ class DrivenPerson(PersonActor):
             yield
 
     def _meeting_point(self, robot: RobotActor) -> Array:
-        """Returns the point at which the hand gives, beside the robot's on the person's side, in the world [3]."""
+        """Return the point at which the hand gives, beside the robot's on the person's side, in the world [3]."""
         hand = robot.hand_pose[:3]
         towards = np.array([self.xz[0] - hand[0], 0.0, self.xz[1] - hand[2]])
         # no farther than the person, who may stand nearer than that
@@ -320,7 +320,7 @@ class DrivenPerson(PersonActor):
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
-        """Moves the person by one step of direct control.
+        """Move the person by one step of direct control.
 
         A motion that would touch an agent that the person avoids is not made. Where other agents are solid, contact is
         decided by their discs at the places where the player's page shows them.
@@ -346,7 +346,7 @@ class DrivenPerson(PersonActor):
         self._follow()
 
     def _lead(self, command: PersonCommand) -> None:
-        """Brings arms and head on by one step."""
+        """Bring arms and head on by one step."""
         for k, target in enumerate((command.left, command.right)):
             rate = 1 / DRIVEN.hand_steps
             tilts, hand = target is not None and target.rotation is not None, HANDS[k]
@@ -365,7 +365,7 @@ class DrivenPerson(PersonActor):
         self._head += np.clip(aim - self._head, -most, most)
 
     def _show(self, gait: HumanState) -> None:
-        """Takes the pose of a gait, with arms and head led to their targets."""
+        """Take the pose of a gait, with arms and head led to their targets."""
         person, body = self.person, self.person.body
         person.base = person.root_at(gait)
         person.walk.step(person.base)

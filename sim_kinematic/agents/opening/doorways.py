@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -17,14 +18,14 @@ from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
 """Additional distance that agents rather walk than open a door [m]."""
-OPEN_SHARE = 0.95
-"""Share of their range from which on open doors do not block a path."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
+    open_share: ClassVar[float] = 0.95
+    """Share of a door's range from which on an open door does not block a path."""
     scene: Scene
     """Home with the doors as they are at rest."""
     open_scene: Scene
@@ -41,7 +42,7 @@ class RoomDoors:
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
-        """Returns whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
+        """Return whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
         closed = joints_of(self.scene).rest.copy()
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
@@ -59,7 +60,7 @@ class RoomDoors:
             return []
         line, found = shapely.LineString(path), []
         for k in self.joints:
-            if shares[k] > OPEN_SHARE:
+            if shares[k] > self.open_share:
                 continue
             for outline in outlines(self.scene, k, positions):
                 if line.distance(outline) < radius_m:
@@ -68,8 +69,8 @@ class RoomDoors:
         return [k for _, k in sorted(found)]
 
     def any_closed(self, positions: Array) -> bool:
-        """Returns whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
-        return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
+        """Return whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
+        return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= self.open_share).any())
 
     def first(
         self,
@@ -80,7 +81,7 @@ class RoomDoors:
         *,
         detour_m: float = DETOUR_M,
     ) -> int:
-        """The first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
+        """Return the first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
 
         Args:
             start: The floor point.

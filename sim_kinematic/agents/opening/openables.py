@@ -37,7 +37,7 @@ class OpeningSpec:
     frames: int = 8
     """Number of positions of a moving part at which collisions are tested."""
     samples: int = 6
-    """Points along each edge of a part's boxes, as which it is seen from above."""
+    """Number of points along each edge of a part's boxes, as which it is seen from above."""
     shrunk_m: float = 0.008
     """Distance at which parts may pass things beside them [m]."""
     passes_m: float = 0.03
@@ -95,7 +95,7 @@ class ArticulatedParts:
         return np.einsum("...jab,jb->...ja", motions[..., :3, :3], self._handles) + motions[..., :3, 3]
 
     def scene_now(self) -> Scene:
-        """The scene with the joints where they are."""
+        """Return the scene with the joints where they are."""
         key = self.positions.tobytes()
         if key not in self._scenes:
             if len(self._scenes) >= 8:
@@ -106,7 +106,7 @@ class ArticulatedParts:
 
     # --- what is shut in ------------------------------------------------------------------------------------------------
     def barrier(self, foot: Array) -> int:
-        """The joint that has to be opened first to reach something whose lowest point is a world point [3]; -1: none."""
+        """Return the joint that has to be opened first to reach something whose lowest point is a world point [3]; -1: none."""
         motions = self.joints.motions(self.positions)
         is_open = self.joints.is_open(self.positions)
         for instance, asset, needed in self._enclosed:
@@ -119,7 +119,7 @@ class ArticulatedParts:
         return -1
 
     def barrier_of(self, k: int, *, at_goal: bool = False) -> int:
-        """The joint that has to be opened first to take object ``k``, or to put it at its goal; -1: none."""
+        """Return the joint that has to be opened first to take object ``k``, or to put it at its goal; -1: none."""
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
         # what is in a hand is shut in by nothing, wherever the hand is
         if not at_goal and self.objects.held_by[k] != NOBODY:
@@ -127,7 +127,7 @@ class ArticulatedParts:
         return self.barrier_for(k, point)
 
     def barrier_for(self, k: int, point: Array) -> int:
-        """The joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
+        """Return the joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
         # receptacles carry things by their lowest point
         return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
 
@@ -159,7 +159,7 @@ class ArticulatedParts:
         return way
 
     def move(self, k: int, position: float) -> None:
-        """Moves a joint, and with it the objects that lie on what it moves."""
+        """Move a joint, and with it the objects that lie on what it moves."""
         state, before = self.objects.state, self.joints.motions(self.positions)
         # asked before it moves, while they lie where the part is
         lying = self._lying(k, before)
@@ -181,7 +181,7 @@ class ArticulatedParts:
         return sorted(found.items())
 
     def _carried(self, k: int) -> list[int]:
-        """The joint and all those of the same thing that hang on it."""
+        """Return the joint and all those of the same thing that hang on it."""
         thing, part = self.joints.parts[k]
         names, found = {part.name}, [k]
         first = next(n for n, (other, _) in enumerate(self.joints.parts) if other is thing)
@@ -226,7 +226,7 @@ class ArticulatedParts:
         return np.concatenate([np.zeros((0, 2)), *found])
 
     def hits_agent(self, k: int, way: NDArray[np.float64]) -> int:
-        """The first agent into whose discs a joint would move something at positions [T]; -1: none."""
+        """Return the first agent into whose discs a joint would move something at positions [T]; -1: none."""
         points = self.points(k, way)[:, [0, 2]]
         for number in range(0 if self.company is None else len(self.company.actors)):
             if bool(_covered(points, self.company.discs_of(number)).any()):  # type: ignore[union-attr]
@@ -234,7 +234,7 @@ class ArticulatedParts:
         return -1
 
     def obstacle(self, k: int, *, opens: bool) -> str:
-        """Name of the instance or object that blocks a joint; empty if there is none."""
+        """Return the name of the instance or object that blocks a joint; empty if there is none."""
         way = self.travel(k, opens=opens)
         # a short way has fewer steps than frames, and none is tested twice
         frames = way[np.unique(np.linspace(0, len(way) - 1, OPENING.frames).astype(int))]

@@ -30,7 +30,7 @@ class ReachQuery(NamedTuple):
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:
-    """Returns whether an instance slides; its contents are reached from above, however low the room that it slides into."""
+    """Return whether an instance slides; its contents are reached from above, however low the room that it slides into."""
     joints = joints_of(scene)
     k = joints.owner.get(instance.name, -1)
     return k >= 0 and joints.parts[k][1].joint.kind == "prismatic"
@@ -78,7 +78,7 @@ def _opened(
 
 
 def openables_at(scene: Scene, positions: Array, doors: frozenset[int] = frozenset()) -> ArticulatedParts:
-    """The doors and drawers of a home, in which nothing moves, at positions [J]."""
+    """Return the doors and drawers of a home, in which nothing moves, at positions [J]."""
     state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
     state.joint_pos[0] = positions
     return ArticulatedParts(scene, Objects((), np.zeros((0, 3)), state), 0.0, doors=doors)

@@ -80,11 +80,11 @@ class Leading:
 
     @property
     def gave_up(self) -> bool:
-        """Returns whether somebody stayed in the way for too long."""
+        """Return whether somebody stayed in the way for too long."""
         return self._waited > PATIENCE_STEPS
 
     def advance(self, step: int) -> bool:
-        """Moves the part to its place of a step of its way; False: somebody is there, so that it has not moved."""
+        """Move the part to its place of a step of its way; False: somebody is there, so that it has not moved."""
         if self.openables.hits_agent(self.k, self.way[step : step + 1]) >= 0:
             self._waited += 1
             return False

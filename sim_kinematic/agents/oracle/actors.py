@@ -53,7 +53,7 @@ class SubGoals:
     """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with what opens as it is at rest."""
 
     def of(self, action: Action, poses: Array) -> SubGoal:
-        """Returns the sub-goal of a skill with an object or at a handle, given the poses [K, 7] of all objects."""
+        """Return the sub-goal of a skill with an object or at a handle, given the poses [K, 7] of all objects."""
         k = action.target
         if action.skill in OPENING_SKILLS:
             return self.to_part[k]
@@ -62,12 +62,12 @@ class SubGoals:
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
     def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
-        """Returns whether an agent at floor point ``xz`` [2] has arrived; ``error_rad`` is the angle to its target."""
+        """Return whether an agent at floor point ``xz`` [2] has arrived; ``error_rad`` is the angle to its target."""
         return bool(reaches(self.oracle, errand.ways.ends - xz, error_rad))
 
 
 def carry_point(body: Robot | Humanoid) -> Array:
-    """Returns where a held object is in its agent's root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    """Return where a held object is in its agent's root frame [3] [m]: in the hand of the folded arm, or before the chest."""
     if isinstance(body, Robot):
         frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ body.hand_position
@@ -75,7 +75,7 @@ def carry_point(body: Robot | Humanoid) -> Array:
 
 
 def _way(errand: SubGoal, number: int, xz: Array, within_m: float) -> tuple[int, float]:
-    """The point to go to now, and how far it is: the next one where a corner has been reached."""
+    """Return the point to go to now, and how far it is: the next one where a corner has been reached."""
     ways = errand.ways
     away = float(np.hypot(*(ways.points[number] - xz)))
     if number < ways.corners and away <= within_m:
@@ -100,7 +100,7 @@ class OracleRobot(RobotActor):
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
-        """Begins a primitive motion, direct control, waiting, or an oracle skill."""
+        """Begin a primitive motion, direct control, waiting, or an oracle skill."""
         if action.skill in PRIMITIVES:
             return self._move(*PRIMITIVES[action.skill])
         if action.skill == CONTROL:
@@ -113,11 +113,11 @@ class OracleRobot(RobotActor):
         return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
 
     def facing_error(self, errand: SubGoal) -> float:
-        """Angle by which the robot must turn to have its target in its reach direction [rad]."""
+        """Return the angle by which the robot must turn to have its target in its reach direction [rad]."""
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
     def _go(self, errand: SubGoal) -> Skill:
-        """Drives along a path, and at its end turns until the hand points at what it came for."""
+        """Drive along a path, and at its end turns until the hand points at what it came for."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
         while since <= STUCK_STEPS:
             before = number
@@ -167,7 +167,7 @@ class OraclePerson(PersonActor):
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
-        """Begins waiting or an oracle skill."""
+        """Begin waiting or an oracle skill."""
         if action.skill == "wait":
             return self._wait(max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
@@ -176,7 +176,7 @@ class OraclePerson(PersonActor):
         return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
 
     def facing_error(self, errand: SubGoal) -> float:
-        """Angle by which the person must turn to face their target [rad]."""
+        """Return the angle by which the person must turn to face their target [rad]."""
         dx, dz = errand.point[[0, 2]] - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
@@ -243,7 +243,7 @@ def _handling(
     stands: Callable[[], None],
     steps: tuple[int, int],
 ) -> Skill:
-    """Stands for a pick or a place, in the course of which the object changes hands, or until a part opens or closes."""
+    """Stand for a pick or a place, in the course of which the object changes hands, or until a part opens or closes."""
     changes, ends = steps
     for step in range(1, ends + 1):
         stands()
@@ -256,7 +256,7 @@ def _handling(
 
 
 def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoal) -> str:
-    """Takes an object or puts it down, opens or closes a part; returns why that fails."""
+    """Take an object or put it down, open or close a part; return why that fails."""
     objects, k = actor.objects, action.target
     if action.skill in OPENING_SKILLS:
         objects.openables.move(

@@ -14,7 +14,7 @@ AIMED_RAD = 1e-3
 
 
 def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
-    """Returns whether a robot ``away`` [m] from the point that it drives to has come to the end of its path.
+    """Return whether a robot ``away`` [m] from the point that it drives to has come to the end of its path.
 
     Args:
         away: the distance [m].
@@ -29,17 +29,17 @@ def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
 
 
 def left_to_do(away: Any, error_rad: Any) -> tuple[Any, Any]:
-    """Returns a robot's remaining distance [m], and a negative measure of its remaining turn at the end of its path."""
+    """Return a robot's remaining distance [m], and a negative measure of its remaining turn at the end of its path."""
     # below 0 for every angle, so that turning at the end is nearer than any distance
     return away, 0.1 * abs(error_rad) - 1.0
 
 
 def gets_on(left: Any, best: Any) -> Any:
-    """Returns whether the remainder (`left_to_do`) is at least 1 mm (or 0.01 rad) below the least so far."""
+    """Return whether the remainder (`left_to_do`) is at least 1 mm (or 0.01 rad) below the least so far."""
     return left < best - 1e-3
 
 
 def reaches(oracle: OracleSpec, gaps: Any, error_rad: Any) -> Any:
-    """Returns whether agents are at one of the places at offsets ``gaps`` [..., S, 2] [m] from them and face their target."""
+    """Return whether agents are at one of the places at offsets ``gaps`` [..., S, 2] [m] from them and face their target."""
     there = (gaps[..., 0] ** 2 + gaps[..., 1] ** 2 <= oracle.reach_m**2).any(-1)
     return there & (abs(error_rad) <= oracle.reach_rad)

@@ -50,7 +50,9 @@ class FloorCells:
     whole: NDArray[np.bool_]
     """True if the corner is visible from the whole cell."""
 
+    # made once for each floor
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, free: FreeSpace) -> FloorCells:
         """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
@@ -101,7 +103,7 @@ class PathTable:
         return self.points[self.corners :]
 
     def cell(self, xz: ArrayLike) -> NDArray[np.int64]:
-        """Number of the cell of points [..., 2]; of the nearest one for those beside the floor."""
+        """Return the number of the cell of points [..., 2]; of the nearest one for those beside the floor."""
         at = np.floor((np.asarray(xz, np.float64) - self.origin) / CELL_M).astype(np.int64)
         i, j = (at[..., k].clip(0, self.shape[k] - 1) for k in (0, 1))
         return i * self.shape[1] + j
@@ -111,7 +113,7 @@ class PathTable:
         return int(self.first[self.cell(xz)])
 
     def length(self, xz: ArrayLike) -> Array:
-        """Length [...] [m] of the path from points [..., 2]; inf: there is none."""
+        """Return the length [...] [m] of the path from points [..., 2]; inf: there is none."""
         xz = np.asarray(xz, np.float64)
         number = self.first[self.cell(xz)].astype(np.int64)
         # where there is no path, -1 reads the last point, and the result is thrown away
@@ -120,9 +122,9 @@ class PathTable:
 
 
 def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
-    """The paths on a floor to the nearest of some free places [S, 2]."""
+    """Return the paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
-    cells, nodes = floor_cells(free), free.graph.nodes
+    cells, nodes = FloorCells.of(free), free.graph.nodes
     left, after = _from_corners(free.graph, ends, SKIP_M)
     first = _from_cells(
         free.graph,
@@ -147,14 +149,8 @@ def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     )
 
 
-@lru_cache(maxsize=64)
-def floor_cells(free: FreeSpace) -> FloorCells:
-    """Made once for each floor."""
-    return FloorCells.of(free)
-
-
 def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The way of a neighbour for cells [nx, nz] that have none themselves."""
+    """Return the way of a neighbour for cells [nx, nz] that have none themselves."""
     for _ in range(SPREAD):
         padded, near = np.pad(first, 1, constant_values=NONE), first.copy()
         # neighbours across a side before those across a corner, which are farther away
@@ -167,7 +163,7 @@ def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel()
 def _sees_all(graph: Graph, samples: NDArray, x: float, z: float) -> bool:
-    """Returns whether (x, z) is seen from all free samples [9, 2] of a cell."""
+    """Return whether (x, z) is seen from all free samples [9, 2] of a cell."""
     for s in range(len(samples)):
         if np.isfinite(samples[s, 0]) and not sees(graph, samples[s, 0], samples[s, 1], x, z):
             return False
@@ -200,7 +196,7 @@ def _cell_corners(graph: Graph, middles: NDArray, samples: NDArray) -> tuple[NDA
 
 @kernel()
 def _from_corners(graph: Graph, ends: NDArray, skip: float) -> tuple[NDArray, NDArray]:
-    """Length of the path from every corner to the nearest end, and the point to go to from there."""
+    """Return the length of the path from every corner to the nearest end, and the point to go to from there."""
     n = len(graph.nodes)
     left, before, after = np.full(n, np.inf), np.full(n, -1, np.int64), np.full(n, -1, np.int64)
     for e in range(len(ends)):
@@ -237,7 +233,7 @@ def _from_cells(
     ends: NDArray,
     detour: float,
 ) -> NDArray:
-    """Point to go to first from each cell on the shortest path.
+    """Return the point to go to first from each cell on the shortest path.
 
     It is the best point that is visible from the whole cell, unless the path through it is more than ``detour`` longer
     than the best from the cell's middle, which is taken then.

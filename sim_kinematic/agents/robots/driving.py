@@ -58,7 +58,7 @@ class RobotDriver:
     number: int = ROBOT
     """Index of the agent."""
     arm_clearance: ArmClearance | None = None
-    """Tests where its arm has room; None: it has room everywhere."""
+    """Tests where the robot's arm has room; None if it has room everywhere."""
     avoids: bool = True
     """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
     others: tuple[ObservedAgent, ...] = ()

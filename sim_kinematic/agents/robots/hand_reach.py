@@ -38,7 +38,7 @@ class HandReachSpec:
     heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
     """Heights of tables and counters, by which the direction is chosen."""
     aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
-    """Directions, from that in which a robot reaches, in which it takes handles where its base cannot turn to face them."""
+    """Directions in which a robot takes handles that its base cannot turn to face, relative to its reaching direction [rad]."""
     reach_slack_m: float = 0.01
     """Distance by which a hand may be off its target, far above the tolerances of the search [m]."""
 

@@ -116,11 +116,11 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
     def is_complete(self, record: StoredRearrangement) -> bool:
-        """Returns whether both starts and all places of objects are in the record, so that nothing needs sampling."""
+        """Return whether both starts and all places of objects are in the record, so that nothing needs sampling."""
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
-        """Rules in a record; without any, the default rules for its number of objects.
+        """Return rules in a record; without any, the default rules for its number of objects.
 
         Raises:
             InputError: the rules and the goals disagree about the number of objects.
@@ -136,7 +136,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
-        """Names of object assets that are not installed, in whose place boxes are used."""
+        """Return names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         return tuple(episode_files().stand_ins(source, record.objects, record.object_paths))
@@ -192,7 +192,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         )
 
     def _furnished(self, record: StoredRearrangement, place: EpisodePlace) -> tuple[Scene, tuple[Target, ...]]:
-        """The scene with the episode's own objects, and what has to go where in it."""
+        """Return the scene with the episode's own objects, and what has to go where in it."""
         scene = place.scene
         origins: Mapping[str, Array] = {}
         # an exported home lacks what moves; the home itself, built again, has it
@@ -298,8 +298,9 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         assert isinstance(episode, RearrangeEpisode)
         if episode.wording:
             return episode.wording
-        errands = [f"bring the {spoken(t.name) or 'object'} to {_there(t.destination)}" for t in episode.targets]
-        return " and ".join(errands)
+        places = [f"the {words}" if (words := spoken(t.destination)) else "its goal" for t in episode.targets]
+        things = [spoken(t.name) or "object" for t in episode.targets]
+        return " and ".join(f"bring the {thing} to {place}" for thing, place in zip(things, places, strict=True))
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Policies, rules, starts, objects and goals for the recording's info."""
@@ -338,7 +339,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return {"ended": play.ended, "solo_steps": play.step if alone else solo_steps_of(self.task, episode)}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Number of steps in which the first person alone would finish, for relative metrics."""
+        """Return the number of steps in which the first person alone would finish, for relative metrics."""
         assert isinstance(episode, RearrangeEpisode)
         return {"solo_steps": solo_steps_of(self.task, episode)}
 
@@ -437,7 +438,7 @@ def placed(
 
 
 def goal_record(target: Target) -> StoredGoal:
-    """A target as files and recordings keep it."""
+    """Return a target as files and recordings keep it."""
     return StoredGoal(
         object=target.name,
         start=target.start.tolist(),
@@ -448,7 +449,10 @@ def goal_record(target: Target) -> StoredGoal:
 
 
 def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
-    """The target of a record; ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses."""
+    """Return the target of a record.
+
+    ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses.
+    """
     start, position = np.array(goal.start, np.float64), np.array(goal.position, np.float64)
     # Habitat's poses are those of the center of mass, ours those of the asset's origin
     if origin is not None:
@@ -458,7 +462,7 @@ def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
 
 
 def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
-    """The rules as JSON types; an infinitely fast arm has null as its speed."""
+    """Return the rules as JSON types; an infinitely fast arm has null as its speed."""
     rules = rules_dict(spec)
     if rules.get("observe") == "full":  # as in recordings from before there was a choice
         del rules["observe"]
@@ -469,7 +473,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
 
 
 def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
-    """The rules that `rules_to_json` wrote; what they do not name is as in the paper.
+    """Return the rules that `rules_to_json` wrote; what they do not name is as in the paper.
 
     Raises:
         InputError: they are none of rearrangement.
@@ -483,7 +487,7 @@ def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = Rearra
 
 # --- in words -----------------------------------------------------------------------------------------------------------
 def spoken(name: str) -> str:
-    """The kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
+    """Return the kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
 
     Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
     """
@@ -494,13 +498,8 @@ def spoken(name: str) -> str:
     return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if digest.search(instance) else instance)
 
 
-def _there(destination: str) -> str:
-    words = spoken(destination)
-    return f"the {words}" if words else "its goal"
-
-
 def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
-    """Names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
+    """Return names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
     alone = [policy.kind for policy in policies] == ["human"]
     return SOLO if alone else ",".join(policy.name for policy in policies if policy.kind == "robot")
 

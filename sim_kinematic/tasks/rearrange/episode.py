@@ -163,7 +163,7 @@ def with_oracle_skills(spec: Any) -> Any:
 
 
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
-    """The rules of an episode that is sampled in a home now: its floor moves if something there opens by full skills."""
+    """Return the rules of an episode that is sampled in a home now: its floor moves if something there opens by full skills."""
     return replace(spec, floor_moves=bool(scene.articulations) and spec.oracle is None)
 
 
@@ -193,7 +193,7 @@ class RearrangeEpisode(Episode):
     added: tuple[EpisodeObject, ...] = ()
     """Objects of ``scene`` that the file of the episode added to it."""
     object_paths: tuple[str, ...] = ()
-    """Folders with their templates."""
+    """Folders with the templates of the objects."""
     wording: str = ""
     """The instruction in the file of the episode; empty: it follows from the targets."""
     is_sampled: bool = True
@@ -234,7 +234,7 @@ def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
 
 
 def body_indices(episode: RearrangeEpisode) -> list[int]:
-    """Index in the recording's bodies of each object of the task."""
+    """Return the index in the recording's bodies of each object of the task."""
     names = [i.name for i in episode.scene.instances]
     return [names.index(target.name) for target in episode.targets]
 
@@ -242,7 +242,7 @@ def body_indices(episode: RearrangeEpisode) -> list[int]:
 def starts_of(
     scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[AgentSpec]
 ) -> Array:
-    """The drawn starts of the first robot and the first person, and places for the others."""
+    """Return the drawn starts of the first robot and the first person, and places for the others."""
     kinds = kinds_of(cast)
     taken: dict[int, Array] = {}
     if "robot" in kinds:
@@ -336,7 +336,9 @@ def free_spot(
     thing: Instance,
     taken: list[tuple[Array, float]],
 ) -> tuple[Array, str] | None:
-    """A free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle; None: there is none.
+    """Return a free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle.
+
+    The result is None if there is none.
 
     ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
     """
@@ -358,7 +360,7 @@ def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
 
 
 def _overlap(point: Array, radius: float, other: NDArray, other_radius: float) -> bool:
-    """Returns whether two things at points [3] would be in each other's space."""
+    """Return whether two things at points [3] would be in each other's space."""
     dx, dy, dz = (point - other).tolist()
     return math.sqrt(dx * dx + dz * dz) < radius + other_radius + 0.01 and abs(dy) < 0.4
 
@@ -388,7 +390,7 @@ class _EpisodeSampler:
         *,
         spots: int,
     ) -> tuple[Target, ...] | None:
-        """A start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
+        """Return a start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
 
         Returns None if ``spots`` tries on each surface give no such places, or if a path that visits all of them is
         certainly longer than ``longest_m``.
@@ -431,7 +433,7 @@ class _EpisodeSampler:
         *,
         spots: int = 1,
     ) -> tuple[Array, str] | None:
-        """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
+        """Return a free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
         radius, low, high = object_extent(self.scene, thing)
         order = rng.permutation(len(self.surfaces))
         near = order if np.isinf(within_m) else order[self._ways(here)[order] <= within_m]
@@ -471,13 +473,13 @@ class _EpisodeSampler:
         return None
 
     def _both_open(self, openables: ArticulatedParts, joint: int) -> bool:
-        """Returns whether both agents find a stand from which they open a part."""
+        """Return whether both agents find a stand from which they open a part."""
         if joint not in self._openable:
             self._openable[joint] = all(len(stands) for stands in self._stands_before(openables, joint))
         return self._openable[joint]
 
     def _both_open_door(self, joint: int) -> bool:
-        """Returns whether both agents open a door from either side."""
+        """Return whether both agents open a door from either side."""
         if joint not in self._openable:
             joints = joints_of(self.doorways.scene)
             positions = joints.rest.copy()
@@ -488,7 +490,7 @@ class _EpisodeSampler:
         return self._openable[joint]
 
     def _stands_before(self, openables: ArticulatedParts, joint: int) -> tuple[Array, Array]:
-        """Stands ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
+        """Stand ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
         handle = openables.handles(openables.positions)[joint]
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
         people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
@@ -506,7 +508,7 @@ class _EpisodeSampler:
         return np.array([instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces])[:, [0, 2]]
 
     def _ways(self, here: Array) -> Array:
-        """Length of the way from ``here`` [2] to each surface [S] [m], about."""
+        """Return the length of the way from ``here`` [2] to each surface [S] [m], about."""
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, place: ReachQuery, here: Array | None = None) -> tuple[Array | None, float]:

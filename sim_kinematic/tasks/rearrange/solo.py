@@ -16,7 +16,7 @@ _SOLO_STEPS = "_solo_steps"
 
 
 def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
-    """Number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
+    """Return the number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
 
     It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
     people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
@@ -40,5 +40,5 @@ def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
 
 
 def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:
-    """Has `solo_steps_of` answer a number that is known already."""
+    """Have `solo_steps_of` answer a number that is known already."""
     vars(episode)[_SOLO_STEPS] = steps

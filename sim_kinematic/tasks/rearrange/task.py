@@ -54,7 +54,7 @@ from sim_kinematic.tasks.task import Task, TaskUsage
 
 
 def check_level(level: Any) -> None:
-    """Raises an `InputError` if actions of environments have no such level."""
+    """Raise an `InputError` if actions of environments have no such level."""
     if level not in ("high", "low"):
         raise InputError(f"Unknown level {level!r}. Expected one of: high, low.", code="H3-ENV-025")
 
@@ -83,7 +83,7 @@ class Rearrange(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, roster: tuple[AgentSpec, ...]
     ) -> RearrangeEpisode:
-        """Samples an episode for the first robot and the first person of the roster.
+        """Sample an episode for the first robot and the first person of the roster.
 
         The default bodies stand in for a missing robot or person, so that objects, goals and the starts of these two
         are the same whoever else plays the episode.
@@ -121,12 +121,12 @@ class Rearrange(Task):
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
+        """Remember which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
         del rows
         play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)
 
     def judge(self, play: Any) -> StepOutcome:
-        """Pays for sub-goals that are reached for the first time; ends with all objects at their goals, or by a contact."""
+        """Pay for sub-goals that are reached for the first time; end with all objects at their goals, or by a contact."""
         worth = REARRANGE_REWARDS[play.spec.reward]
         # nothing has changed since a step without any of this, as in ninety-nine steps of a hundred
         if play.team.is_quiet and play.outcome.columns and play.outcome.reward.item(0) == worth.slack:

@@ -40,7 +40,6 @@ from sim_kinematic.tasks.social_nav.codec import SocialNavCodec
 from sim_kinematic.tasks.social_nav.episode import goals_of, plan_of, sample_pair_starts
 from sim_kinematic.tasks.task import Task, TaskUsage
 
-HUMAN_SKILLS = ("walk", "turn")
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 """Rules of the paper for training, in which both start at least 3 m apart (appendix, social navigation)."""
 
@@ -89,7 +88,7 @@ class SocialNav(Task):
         "metrics.geodesic_agents": np.float32,
         "metrics.facing": np.float32,
     }
-    control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS})
+    control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": ("walk", "turn")})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_NAVIGATORS}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
     usage: ClassVar[TaskUsage] = TaskUsage(

@@ -36,7 +36,7 @@ class Mode:
     """Spherical effects u of each factor, each of shape [levels]."""
     coefficients: Array
     fixed_factor: Array
-    """Lower Cholesky factor [P, P] of the coefficients' information; shape [0, 0] unless they were free."""
+    """Lower Cholesky factor [P, P] of the coefficients' information; [0, 0] if the coefficients were held fixed."""
     eta: Array
     """Linear predictor, shape [N]."""
 

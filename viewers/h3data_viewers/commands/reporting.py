@@ -59,7 +59,7 @@ def report(
     executor: str = "local",
     force: bool = False,
 ) -> Report:
-    """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
+    """Write a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
 
     Returns:
         The report: its runs, tables, and what could not be measured.
@@ -117,13 +117,13 @@ class ReportCommand:
     study_model: StepsModelOption
     failed: FailedOption
     workers: int
-    """Processes, or Ray's workers, that read and measure the recordings."""
+    """Number of processes, or Ray's workers, that read and measure the recordings."""
     executor: ExecutorOption
     force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the report, and its tables as Markdown and LaTeX if asked to."""
+        """Write the report, and its tables as Markdown and LaTeX if asked to."""
         from h3data_viewers.html_report.reading import lost_part
         from h3data_viewers.html_report.report import make_report, replay_folder
 

@@ -59,7 +59,7 @@ def view(
     open: bool = False,
     force: bool = False,
 ) -> Path:
-    """Writes a recording as a Rerun file, or as an HTML file that plays it in a browser.
+    """Write a recording as a Rerun file, or as an HTML file that plays it in a browser.
 
     A Rerun file can show two recordings side by side. The options are those of ``h3data view``.
 
@@ -110,7 +110,7 @@ class View:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the file whose ending names its format."""
+        """Write the file whose ending names its format."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
             raise InputError(
@@ -211,7 +211,7 @@ class View:
 
 
 def _open(path: Path) -> str:
-    """Opens a file in the program that shows it, and returns why that did not work, if it did not."""
+    """Open a file in the program that shows it, and return why that did not work, if it did not."""
     if path.suffix.lower() in (".html", *PICTURES):
         opened = webbrowser.open(path.resolve().as_uri())
         return "" if opened else f"There is no browser to open it in. Hint: copy it to a machine with one: {path}"

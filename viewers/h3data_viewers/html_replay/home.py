@@ -35,7 +35,7 @@ TEXTURE_SIDE_PX = 256
 
 
 def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart]) -> None:
-    """Adds the parts at their first pose. Joints of bodies that are no agent's model are named ``<body>/<joint>``.
+    """Add the parts at their first pose. Joints of bodies that are no agent's model are named ``<body>/<joint>``.
 
     The file ``home`` is the JSON of a GLB; buffer view k is ``home.k``, a file or an array of the type that its member
     ``numbers`` says, which takes half of what a compressed GLB does. `web/src/replay/home.ts` puts the GLB together.
@@ -63,7 +63,7 @@ def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart])
 
 
 def first_pose(poses: Array) -> Array:
-    """The first pose [1, ...] that is there, of [T, ..., 7]."""
+    """Return the first pose [1, ...] that is there, of [T, ..., 7]."""
     there = np.isfinite(poses).reshape(len(poses), -1).all(1)
     if there.any():
         return poses[int(np.argmax(there))][None]
@@ -79,7 +79,7 @@ def _at_first(part: PosedPart) -> PosedPart:
 
 # --- budgets ----------------------------------------------------------------------------------------------------------
 def _within_budget(parts: Sequence[PosedPart]) -> list[PosedPart]:
-    """The parts with meshes and textures that keep `MAX_VERTICES` and `MAX_TEXELS`."""
+    """Return the parts with meshes and textures that keep `MAX_VERTICES` and `MAX_TEXELS`."""
     # by identity: many parts share a mesh, which the file holds once
     distinct = {id(part.mesh): part.mesh for part in parts}
     total = sum(len(mesh.vertices) for mesh in distinct.values())
@@ -102,7 +102,7 @@ def _within_budget(parts: Sequence[PosedPart]) -> list[PosedPart]:
 
 
 def _thinned(mesh: Mesh, share: float) -> Mesh:
-    """A mesh with ``share`` of its vertices and the colours of its textures in them."""
+    """Return a mesh with ``share`` of its vertices and the colours of its textures in them."""
     most = max(LEAST_VERTICES, int(share * len(mesh.vertices)))
     if len(mesh.vertices) <= most and not mesh.textures:
         return mesh
@@ -118,7 +118,7 @@ def _thinned(mesh: Mesh, share: float) -> Mesh:
 
 # --- the file ---------------------------------------------------------------------------------------------------------
 def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> None:
-    """Adds the buffer views: opaque pictures as JPEG, indices of 16 bits where they suffice."""
+    """Add the buffer views: opaque pictures as JPEG, indices of 16 bits where they suffice."""
     images = {image["bufferView"]: image for image in document.get("images", ())}
     primitives = [p for mesh in document.get("meshes", ()) for p in mesh["primitives"]]
     # a quarter of a millimetre, half a degree, and an 8,192th of a texture, which nobody sees; indices stay exact
@@ -144,7 +144,7 @@ def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> N
 
 
 def _picture(png: bytes, name: str) -> tuple[bytes, str]:
-    """A PNG and its type, as JPEG if that is smaller; the palette and pictures with holes stay exact."""
+    """Return a PNG and its type, as JPEG if that is smaller; the palette and pictures with holes stay exact."""
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:

@@ -46,7 +46,7 @@ class HtmlReplay:
 def write_html(
     recording: Recording, path: str | Path, *, replay: Replay | None = None, title: str = "", overwrite: bool = False
 ) -> HtmlReplay:
-    """Writes a recording as an HTML file that needs no server, no network and no other file.
+    """Write a recording as an HTML file that needs no server, no network and no other file.
 
     Args:
         recording: Recording to show.
@@ -103,7 +103,7 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
 
 
 def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
-    """Returns the page's facts about the recording, by title, as text."""
+    """Return the page's facts about the recording, by title, as text."""
     episode, info = recording.episode, recording.episode.info
     shapes = "plain bodies and named boxes" if replay.stand_ins else "striped shapes"
     facts = {

@@ -33,7 +33,7 @@ class Payload:
     _size: int = 0
 
     def add_array(self, name: str, values: ArrayLike, step: float) -> str:
-        """Adds numbers [T, C] or [T], rounded to multiples of ``step``, and returns their name.
+        """Add numbers [T, C] or [T], rounded to multiples of ``step``, and return their name.
 
         Rows with a number that is not finite are absent: they take no space and are read as NaN.
         """
@@ -59,7 +59,7 @@ class Payload:
         return name
 
     def add_file(self, name: str, data: bytes) -> str:
-        """Adds bytes as they are and returns their name."""
+        """Add bytes as they are and return their name."""
         self._add(name, data)
         return name
 
@@ -70,6 +70,6 @@ class Payload:
         self._size += len(data)
 
     def packed(self, about: dict[str, Any]) -> bytes:
-        """The compressed block; ``about`` is plain JSON that goes into its header."""
+        """Return the compressed block; ``about`` is plain JSON that goes into its header."""
         header = json.dumps({"about": about, "entries": self.entries}, allow_nan=False, separators=(",", ":")).encode()
         return zlib.compress(struct.pack("<I", len(header)) + header + b"".join(self._parts), 9)

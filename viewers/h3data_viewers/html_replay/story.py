@@ -38,7 +38,7 @@ _TITLES = {
 
 
 def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Adds curves at ``rows``; returns the story of the page's manifest, whose steps are indices into ``rows``."""
+    """Add curves at ``rows``; return the story of the page's manifest, whose steps are indices into ``rows``."""
     return {
         "charts": _charts(payload, recording, rows),
         "lanes": _lanes(recording, rows),
@@ -63,7 +63,7 @@ def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer])
 
 
 def _row(rows: NDArray[np.integer], step: int) -> int:
-    """Index of the row that shows a step."""
+    """Return the index of the row that shows a step."""
     return int(np.clip(np.searchsorted(rows, step), 0, max(len(rows) - 1, 0)))
 
 
@@ -103,7 +103,7 @@ def _title(name: str) -> str:
 
 
 def _speed(recording: Recording, agent: int) -> NDArray[np.float64]:
-    """Speed over the floor of an agent [m/s], over a fifth of a second, so that it does not flicker."""
+    """Return the speed over the floor of an agent [m/s], over a fifth of a second, so that it does not flicker."""
     time_s = recording.columns["time_ns"].astype(np.float64) * 1e-9
     xz = recording.agent_column(agent, "base_pose")[:, [0, 2]].astype(np.float64)
     if len(xz) < 2:
@@ -170,13 +170,13 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
 
 
 def _touches(recording: Recording) -> list[int]:
-    """Rows at which robot and person begin to touch."""
+    """Return rows at which robot and person begin to touch."""
     return np.flatnonzero(np.diff(touched_rows(recording).astype(np.int8), prepend=0) > 0).tolist()
 
 
 # --- marks ------------------------------------------------------------------------------------------------------------
 def _contacts(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """Returns the places where contacts begin: half-way between robot and the person whom it touches."""
+    """Return the places where contacts begin: half-way between robot and the person whom it touches."""
     pair = agent_pair(recording)
     people = [number for number, agent in enumerate(recording.agents) if agent.kind == "human"]
     whom = recording.columns.get("metrics.collision_people")
@@ -205,7 +205,7 @@ def _goals(recording: Recording) -> list[dict[str, Any]]:
 
 
 def _scans(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """Adds what laser scanners measured at ``rows``."""
+    """Add what laser scanners measured at ``rows``."""
     scans = []
     for number, scan in enumerate(scans_of(recording)):
         # a ray that meets nothing ends at the range of the scanner: the payload takes rows with NaN for absent ones

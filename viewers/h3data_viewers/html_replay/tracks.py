@@ -29,7 +29,7 @@ _STILL = 1e-4
 
 
 def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Adds the states at ``rows`` of the recording; returns the agents, things and joints of the page's manifest.
+    """Add the states at ``rows`` of the recording; return the agents, things and joints of the page's manifest.
 
     ``parts`` are posed at ``rows`` (`h3data_exporters.posing.posed_parts`).
     """
@@ -52,7 +52,7 @@ def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: N
 
 
 def _joints(payload: Payload, replay: Replay, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """Adds the positions of doors and drawers; returns their rigs, at rest where the first row, and so the home, has them."""
+    """Add the positions of doors and drawers; return their rigs, at rest where the first row, and so the home, has them."""
     recording = replay.recording
     positions = recording.columns.get(JOINTS)
     if replay.scene is None or positions is None or not positions.shape[1] or not np.isfinite(positions[rows]).all():

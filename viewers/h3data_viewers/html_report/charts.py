@@ -40,7 +40,7 @@ def series_class(place: int) -> str:
 
 # --- a row for each run or condition ----------------------------------------------------------------------------------
 def _rows_chart(metric: Metric, bottom: float, low: float, high: float, *, alt: str, caption: str) -> tuple[Svg, Scale]:
-    """A chart with labels left of rows that end at ``bottom``, and values from ``low`` to ``high`` along it."""
+    """Return a chart with labels left of rows that end at ``bottom``, and values from ``low`` to ``high`` along it."""
     svg = Svg(_WIDTH, bottom + 38, alt, caption=f"{metric.name}: {metric.title.lower()}{caption}")
     x = linear(low, high, _LABEL, _WIDTH - 12)
     unit = metric.unit if metric.unit != "1" else ""
@@ -246,7 +246,7 @@ def _share(title: str, times: Sequence[tuple[int, Run, Sequence[float]]], longes
 def _time_chart(
     longest: float, values: tuple[float, float], *, alt: str, caption: str, x_title: str = "seconds"
 ) -> tuple[Svg, Scale, Scale]:
-    """A chart over time from 0 to ``longest``, with a grid from the lowest to the highest of ``values``."""
+    """Return a chart over time from 0 to ``longest``, with a grid from the lowest to the highest of ``values``."""
     svg, right, bottom = Svg(_WIDTH, 250, alt, caption=caption), _WIDTH - 12, 208.0
     x, y = linear(0, longest, 40, right), linear(*values, bottom, 10)
     for value in ticks(*values, 5):

@@ -48,7 +48,7 @@ RUN_CURVES_FILE = "curve.parquet"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """Episodes of one policy: of all datasets that hold different ones, else of one dataset."""
+    """Episodes of one policy, from one dataset, or from several datasets that hold different episodes."""
 
     name: str
     policy: str
@@ -62,7 +62,7 @@ class Run:
     """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
-        """Mean of each metric over ``chosen`` episodes of the run (default: all), by name.
+        """Return the mean of each metric over ``chosen`` episodes of the run (default: all), by name.
 
         For a run with several seeds it is the mean of their means. Without episodes the result is empty.
         """
@@ -106,11 +106,11 @@ class Mean:
     """Lower end: one standard deviation of the seeds below the mean."""
     high: float
     count: int
-    """Episodes that define the metric."""
+    """Number of episodes that define the metric."""
     deviation: float = np.nan
     """Standard deviation over seeds (n - 1)."""
     seeds: int = 0
-    """Seeds that have a mean; 0: these are episodes of one policy."""
+    """Number of seeds that have a mean; 0 for the mean over the episodes of one policy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +136,7 @@ class ReportData:
         return tuple(sorted(there, key=lambda task: [*papers, task].index(task)))
 
     def of_task(self, task: str) -> tuple[Run, ...]:
-        """The runs of one task."""
+        """Return the runs of one task."""
         return tuple(run for run in self.runs if run.task == task)
 
 
@@ -147,7 +147,7 @@ def gather(
     seeds: Sequence[str] = (),
     spread: Spread[Found] = map,
 ) -> ReportData:
-    """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
+    """Read every recording of datasets, logs and folders of these, and measure each by the profile of its task.
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``unseen_partners`` names the partners of the
     zero-shot population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
@@ -193,7 +193,7 @@ class _Gathered:
         self.count = 0
 
     def add(self, roots: Sequence[Path], spread: Spread[Found]) -> None:
-        """Reads what lies at the paths, in their order."""
+        """Read what lies at the paths, in their order."""
         places: list[int] = []
         parts: list[Part] = []
         for place, root in enumerate(roots):
@@ -233,7 +233,7 @@ class _Gathered:
         self._drop_parts_of_populations()
 
     def name_population(self, zsc: Sequence[str]) -> None:
-        """Makes the episodes with these partners the zero-shot population."""
+        """Make the episodes with these partners the zero-shot population."""
         partners = sorted({e.partner for episodes in self.grouped.values() for e in episodes if e.partner})
         if strangers := [name for name in zsc if name not in partners]:
             raise InputError(
@@ -291,7 +291,7 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
 
 
 def same_episodes(first: Run, second: Run) -> bool:
-    """Returns whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds."""
+    """Return whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds."""
     a, b = (
         {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
         for run in (first, second)
@@ -301,7 +301,7 @@ def same_episodes(first: Run, second: Run) -> bool:
 
 
 def read_whole(episode: ReportEpisode) -> Recording:
-    """The recording with its bodies and its scene, to draw pictures of it."""
+    """Return the recording with its bodies and its scene, to draw pictures of it."""
     opened = open_recording(episode.source)
     return opened if isinstance(opened, Recording) else opened.recording(episode.index)
 
@@ -350,7 +350,7 @@ def _runs(
     profiles: Mapping[tuple[int, str, str], Profile],
     roots: Sequence[Path],
 ) -> tuple[Run, ...]:
-    """One run for each policy.
+    """Return one run for each policy.
 
     Datasets of one policy are separate runs if they have the same episodes or other rules; the dataset is then part of
     the run's name.
@@ -387,7 +387,7 @@ def _runs(
 
 
 def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str]) -> tuple[Run, ...]:
-    """The runs, those of training seeds as one in the place of the first."""
+    """Return the runs, those of training seeds as one in the place of the first."""
     told = evaluated_seeds(roots)
     for pattern in patterns:
         told[pattern] = tuple(
@@ -424,7 +424,7 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
 
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
-    """Returns whether datasets of a policy have the same rules, and no episode twice with one partner or participant."""
+    """Return whether datasets of a policy have the same rules, and no episode twice with one partner or participant."""
     # the same episode with another partner or participant is another sample
     keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner, e.participant) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}

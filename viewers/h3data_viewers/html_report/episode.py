@@ -28,7 +28,7 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportEpisode:
-    """Measured episode."""
+    """Episode in the report, with its metrics."""
 
     source: AnyPath
     """Dataset or log that holds the episode."""
@@ -82,5 +82,5 @@ class ReportEpisode:
         return bool(self.participant and self.condition)
 
     def seconds(self, row: int) -> float:
-        """Time of a row since the beginning."""
+        """Return the time of a row since the beginning."""
         return (row + 1) * self.metrics.dt_ns * 1e-9

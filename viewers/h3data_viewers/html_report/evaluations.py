@@ -20,7 +20,7 @@ from h3data_viewers.html_report.episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:
-    """Returns whether a folder is that of an evaluation whose recordings were not kept."""
+    """Return whether a folder is that of an evaluation whose recordings were not kept."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
 
 
@@ -41,7 +41,7 @@ def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
 
 
 def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
-    """The policies that are one row of the tables of these evaluations, by the pattern that names them."""
+    """Return the policies that are one row of the tables of these evaluations, by the pattern that names them."""
     found: dict[str, tuple[str, ...]] = {}
     for root in roots:
         try:
@@ -68,14 +68,14 @@ def population_beside(partner: str, task: str) -> str:
 
 
 def zero_shot_population(partners: Sequence[str]) -> tuple[str, ...]:
-    """The largest zero-shot population of the paper that all played in an evaluation; empty if none did."""
+    """Return the largest zero-shot population of the paper that all played in an evaluation; empty if none did."""
     from sim_kinematic.policies.rearrange import zsc_populations
 
     return (zsc_populations(partners) or ((),))[-1]
 
 
 def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
-    """Yields every result of an evaluation, with the profile of its metrics.
+    """Yield every result of an evaluation, with the profile of its metrics.
 
     Raises:
         FormatError: a file is no result of ``h3data evaluate``.

@@ -41,7 +41,7 @@ ZSC = "ZSC mean"
 
 # --- social navigation ------------------------------------------------------------------------------------------------
 def social_nav_table(runs: Sequence[Run]) -> Table:
-    """Means with intervals of each run, the paper's rows below."""
+    """Return means with intervals of each run, the paper's rows below."""
     paper = published_results().social_nav
     metrics = SOCIAL_NAV_PROFILE.metrics
     published = [
@@ -71,7 +71,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
 
 
 def _rows(runs: Sequence[Run], metrics: Sequence[Metric], *, paper: PublishedTable | None = None) -> tuple[Row, ...]:
-    """A row of means with intervals for each run, below them those that ``paper`` has of the same policy."""
+    """Return a row of means with intervals for each run, below them those that ``paper`` has of the same policy."""
     summaries, percent = [run.means() for run in runs], runs[0].profile.report.percent
     # the best mean of a column is bold, whatever its interval
     best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
@@ -91,7 +91,7 @@ def _rows(runs: Sequence[Run], metrics: Sequence[Metric], *, paper: PublishedTab
 
 
 def _deviations(runs: Sequence[Run]) -> list[str]:
-    """Returns the deviations from the paper's rules of each run that has some."""
+    """Return the deviations from the paper's rules of each run that has some."""
     found = {
         run.name: Counter(e.metrics.protocol_deviations for e in run.episodes if e.metrics.protocol_deviations)
         for run in runs
@@ -158,7 +158,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
 
 # --- any other task ---------------------------------------------------------------------------------------------------
 def task_table(name: str, runs: Sequence[Run]) -> Table:
-    """Means with intervals of each run, in the columns that the task's profile chooses."""
+    """Return means with intervals of each run, in the columns that the task's profile chooses."""
     profile = runs[0].profile
     shown = profile.report.columns or tuple(m.name for m in profile.metrics)
     metrics = [m for m in profile.metrics if m.name in shown]
@@ -175,7 +175,7 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
 
 
 def tables_beside(name: str, runs: Sequence[Run]) -> list[Table]:
-    """A table for each further profile that measures some episodes of a task (`h3data.metrics.Profile.beside`)."""
+    """Return a table for each further profile that measures some episodes of a task (`h3data.metrics.Profile.beside`)."""
     tables = []
     for profile in profiles_beside():
         measured = [
@@ -314,7 +314,7 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
 
 
 def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
-    """Returns the heading above partners of one population; with one population, all are partners."""
+    """Return the heading above partners of one population; with one population, all are partners."""
     if len(set(kinds.values())) == 1 and not kinds[partner]:
         return "Partner"
     # populations are those of the paper's appendix: trained with, and unseen
@@ -342,7 +342,7 @@ class _Shade:
         )
 
     def ends(self, metric: Metric) -> tuple[str, str]:
-        """Returns the labels at the pale and the dark end of the colour bar."""
+        """Return the labels at the pale and the dark end of the colour bar."""
         better = {"higher": ("", ", better"), "lower": (", better", ""), "neither": ("", "")}[metric.direction]
         low, high = (
             number(self.factor * value, self.digits) + word
@@ -353,7 +353,7 @@ class _Shade:
 
 # --- small things -----------------------------------------------------------------------------------------------------
 def metric_column(metric: Metric, *, group: str = "") -> Column:
-    """Column of a metric, whose head has its name, an arrow for its better direction, and its unit."""
+    """Return the column of a metric, whose head has its name, an arrow for its better direction, and its unit."""
     unit = f" [{metric.unit}]" if metric.unit in ("m", "steps") else ""
     arrow = {"higher": "↑", "lower": "↓", "neither": ""}[metric.direction]
     return Column(head=f"{metric.name}{arrow}{unit}", hint=metric.title, group=group)
@@ -376,7 +376,7 @@ def _best(means: Sequence[Mapping[str, float]], metrics: Sequence[Metric]) -> di
 
 
 def _measured(found: Mean, *, factor: float = 1.0, digits: int = 2, small: str = "") -> Cell:
-    """A mean with its interval, of seeds with their standard deviation."""
+    """Return a mean with its interval, of seeds with their standard deviation."""
     if not found.seeds:
         return mean_cell(factor * found.mean, factor * found.low, factor * found.high, digits=digits, small=small)
     values = (factor * found.mean, factor * found.deviation)

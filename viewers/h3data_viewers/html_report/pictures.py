@@ -64,7 +64,7 @@ class Plan:
         return (np.asarray(xz, np.float64) - self.origin) * self.scale
 
     def picture(self, alt: str, *, caption: str = "") -> Svg:
-        """A drawing that begins with the plan, which the page defines once."""
+        """Return a drawing that begins with the plan, which the page defines once."""
         svg = Svg(self.width, self.height, alt, css="plan", caption=caption)
         svg.add("use", "", href=f"#{self.key}")
         return svg
@@ -77,7 +77,7 @@ class Plans:
     made: dict[str, Plan] = field(default_factory=dict)
 
     def of(self, episode: ReportEpisode, scene: Scene | None = None) -> Plan:
-        """The plan of the scene of an episode; ``scene`` saves reading it."""
+        """Return the plan of the scene of an episode; ``scene`` saves reading it."""
         name = episode.metrics.scene
         if name not in self.made:
             if scene is None and (file := read_whole(episode).attachments.get("scene.glb")) is not None:
@@ -203,7 +203,7 @@ class Highlight:
 
 
 def ranked_by(profile: Profile) -> tuple[str, ...]:
-    """Metrics that say which episode is better, the most important first."""
+    """Return metrics that say which episode is better, the most important first."""
     return profile.report.ranking or tuple(m.name for m in profile.metrics if m.direction != "neither")[:3]
 
 
@@ -242,7 +242,7 @@ class ReplayFiles:
     written: list[Path] = field(default_factory=list)
 
     def write(self, highlight: Highlight, recording: Recording, posed: Posing) -> str:
-        """Writes the replay of an episode and returns its address, relative to the report."""
+        """Write the replay of an episode and return its address, relative to the report."""
         from h3data_viewers.html_replay.html_file import write_html
 
         task = re.sub(r"[^A-Za-z0-9_-]+", "_", recording.episode.task) or "episode"
@@ -330,7 +330,7 @@ def highlight_card(
 
 
 def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
-    """The plan with the paths of an episode, and a line between robot and person where they were nearest."""
+    """Return the plan with the paths of an episode, and a line between robot and person where they were nearest."""
     svg = plan.picture(
         f"Floor plan of {episode.metrics.scene}: paths of robot and {'people' if episode.people > 1 else 'person'}"
     )
@@ -354,7 +354,7 @@ def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
 
 
 def _messages(recording: Recording) -> list[str]:
-    """The first messages of an episode, each with its time."""
+    """Return the first messages of an episode, each with its time."""
     names, said = [agent.name for agent in recording.agents], [e for e in recording.events if e.kind == SAY]
     seconds = recording.episode.dt_ns * 1e-9
     lines = [f"{e.step * seconds:.1f} s: {speech(e, names)}" for e in said[:MOST_MESSAGES]]

@@ -43,7 +43,7 @@ Found = list[Read | Unread]
 
 
 def read_part(part: Part) -> Found:
-    """The episodes of a part, measured by the profiles of their tasks."""
+    """Return the episodes of a part, measured by the profiles of their tasks."""
     found: Found = []
     for index, recording in part_recordings(part):
         if isinstance(recording, FormatError):
@@ -65,7 +65,7 @@ def read_part(part: Part) -> Found:
 
 
 def lost_part(part: Part, fault: Exception) -> Found:
-    """The episodes of a part that no worker could read."""
+    """Return the episodes of a part that no worker could read."""
     return [Unread(_name(part, index), str(fault)) for index in part.episodes or (0,)]
 
 
@@ -105,7 +105,7 @@ def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile
 
 @cache
 def profiles_beside() -> tuple[Profile, ...]:
-    """The profiles that measure recordings with a certain key in their info, beside that of the task."""
+    """Return the profiles that measure recordings with a certain key in their info, beside that of the task."""
     return tuple(profile for profile in all_profiles() if profile.beside)
 
 
@@ -119,7 +119,7 @@ def _beside(recording: Recording) -> tuple[EpisodeMetrics, ...]:
 
 
 def _said(info: Mapping[str, Any], key: str) -> str:
-    """The text or number of a key; anything else that a foreign file holds there counts as nothing."""
+    """Return the text or number of a key; anything else that a foreign file holds there counts as nothing."""
     value = info.get(key, "")
     return str(value) if isinstance(value, str | int | float) else ""
 

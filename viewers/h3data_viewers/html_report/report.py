@@ -59,7 +59,7 @@ SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_section
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """Finished report."""
+    """Report as it was written: its files and their contents."""
 
     title: str
     data: ReportData
@@ -74,16 +74,16 @@ class Report:
     """HTML replays that the page links."""
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the page, which appears under its name when it is complete."""
+        """Write the page, which appears under its name when it is complete."""
         with part_file(path) as part:
             part.write_text(self.html, encoding="utf-8")
 
     def to_markdown(self) -> str:
-        """All tables as GitHub Markdown."""
+        """Return all tables as GitHub Markdown."""
         return "\n\n".join(map(to_markdown, self.tables)) + "\n"
 
     def to_latex(self) -> str:
-        """All tables as LaTeX; needs the package booktabs."""
+        """Return all tables as LaTeX; needs the package booktabs."""
         return "% \\usepackage{booktabs}\n" + "\n\n".join(map(to_latex, self.tables)) + "\n"
 
 
@@ -106,7 +106,7 @@ def make_report(
     spread: Spread[Found] = map,
     command: str = "",
 ) -> Report:
-    """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
+    """Return the report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
     ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are those of
     the key frames, as in `h3data.replay.Replay`; ``study_model`` and ``failed`` choose the model of episodes that
@@ -195,7 +195,7 @@ def make_report(
 
 
 def replay_folder(out: str | os.PathLike[str]) -> Path:
-    """The folder of the replays of a report that is written to ``out``: beside it, where its links look for them."""
+    """Return the folder of the replays of a report that is written to ``out``: beside it, where its links look for them."""
     return Path(out).with_name(f"{Path(out).stem}_replays")
 
 

@@ -113,5 +113,5 @@ def add_x_axis(svg: Svg, x: Scale, xs: Sequence[float], box: Box, *, title: str,
 
 
 def _n(value: float) -> str:
-    """A coordinate to a tenth of a unit, so that files stay small."""
+    """Return a coordinate to a tenth of a unit, so that files stay small."""
     return f"{value:.1f}".removesuffix(".0")

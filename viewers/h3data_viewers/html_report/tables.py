@@ -37,11 +37,11 @@ class Cell:
     """Value in a table."""
 
     text: str
-    """``0.97 [0.95, 0.99]``; empty: nothing to say."""
+    """Text such as ``0.97 [0.95, 0.99]``; empty for a cell without a value."""
     value: float = NAN
     """Value by which the column is sorted."""
     small: str = ""
-    """Said below, in small type."""
+    """Text in small type below the cell's text."""
     strong: bool = False
     heat: float = NAN
     """Strength of the cell's colour, 0 to 1; NaN for none."""
@@ -64,7 +64,7 @@ class Row:
     name: str
     cells: tuple[Cell, ...]
     small: str = ""
-    """Said below the name, in small type."""
+    """Text in small type below the name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class Table:
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
 def number(value: float, digits: int = 2) -> str:
-    """A number with a fixed count of decimals; a dash for NaN."""
+    """Return a number with a fixed count of decimals; a dash for NaN."""
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}f}"
@@ -122,7 +122,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def cut(text: str, most: int) -> str:
-    """Shortens a name to at most ``most`` characters.
+    """Shorten a name to at most ``most`` characters.
 
     Sentences lose their end, single words their middle, since names of scenes and policies often differ only at the
     end.
@@ -141,7 +141,7 @@ def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int =
 
 
 def spread_cell(values: tuple[float, ...], *, digits: int = 2) -> Cell:
-    """A published value: ``mean``, ``mean ± std`` or ``mean [low, high]``; empty if there is none."""
+    """Return a published value: ``mean``, ``mean ± std`` or ``mean [low, high]``; empty if there is none."""
     if not values:
         return Cell(text="")
     if len(values) == 3:
@@ -151,13 +151,13 @@ def spread_cell(values: tuple[float, ...], *, digits: int = 2) -> Cell:
 
 
 def p_text(p: float) -> str:
-    """Returns a p value as papers print it."""
+    """Return a p value as papers print it."""
     return "–" if math.isnan(p) else "< .0001" if p < 1e-4 else f"{p:.4f}"
 
 
 # --- Markdown ---------------------------------------------------------------------------------------------------------
 def to_markdown(table: Table) -> str:
-    """A GitHub table under a heading; the sections are set in bold."""
+    """Return a GitHub table under a heading; the sections are set in bold."""
     heads = [table.name_head, *(f"{c.group}: {c.head}" if c.group else c.head for c in table.columns)]
     lines = [f"### {_md(table.title)}", "", _md(table.caption), "", "| " + " | ".join(map(_md, heads)) + " |"]
     lines.append("|" + " --- |" + " ---: |" * len(table.columns))
@@ -179,7 +179,7 @@ def _md(text: str) -> str:
 
 # --- LaTeX ------------------------------------------------------------------------------------------------------------
 def to_latex(table: Table) -> str:
-    """A ``table`` environment that needs the package booktabs."""
+    """Return a ``table`` environment that needs the package booktabs."""
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{_tex(table.caption)}}}", rf"\label{{tab:{table.key}}}"]
     lines += [rf"\begin{{tabular}}{{@{{}}l{'c' * len(table.columns)}@{{}}}}", r"\toprule"]
     if table.groups:

@@ -15,12 +15,12 @@ _LISTED, _MOST_LOGS = 5_000, 8
 
 
 def task_name(task: str) -> str:
-    """Returns the name of a task in reports."""
+    """Return the name of a task in reports."""
     return TASKS.get(task, task.replace("_", " "))
 
 
 def facts(data: ReportData) -> list[tuple[str, str]]:
-    """Numbers at the top of a report, each with its noun."""
+    """Return numbers at the top of a report, each with its noun."""
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
@@ -32,7 +32,7 @@ def facts(data: ReportData) -> list[tuple[str, str]]:
 
 
 def findings(data: ReportData) -> list[str]:
-    """The main numbers in words, with the paper's numbers in brackets; unknown numbers are left out."""
+    """Return the main numbers in words, with the paper's numbers in brackets; unknown numbers are left out."""
     lines = []
     for run in data.runs:
         summary, metrics = run.means(), {m.name: m for m in run.table.metrics}
@@ -64,7 +64,7 @@ def _in_words(metric: Metric, mean: float) -> str:
 
 
 def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
-    """The number of episodes of each task in words, and the table of these episodes."""
+    """Return the number of episodes of each task in words, and the table of these episodes."""
     tables = []
     for task in data.tasks:
         name, runs = task_name(task), data.of_task(task)

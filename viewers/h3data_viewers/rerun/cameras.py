@@ -42,12 +42,12 @@ class CameraFeed:
 
     @property
     def has_images(self) -> bool:
-        """Returns whether the camera has a video or stills."""
+        """Return whether the camera has a video or stills."""
         return self.video is not None or self.stills is not None
 
 
 def rendered_feed(replay: Replay, name: str) -> CameraFeed:
-    """Returns a camera of a replay, by name or file as in `h3data.replay.camera_track`, with newly rendered stills."""
+    """Return a camera of a replay, by name or file as in `h3data.replay.camera_track`, with newly rendered stills."""
     track = camera_track(replay, name)
     shrink = min(1.0, STILL_WIDTH / track.camera.width)
     small = replace(track, camera=scaled(track.camera, shrink))
@@ -64,7 +64,7 @@ def rendered_feed(replay: Replay, name: str) -> CameraFeed:
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """Returns a camera with the same view whose images are ``factor`` times as large, at least 1x1 pixel."""
+    """Return a camera with the same view whose images are ``factor`` times as large, at least 1x1 pixel."""
     return camera.resized(*(max(round(side * factor), 1) for side in (camera.width, camera.height)))
 
 
@@ -74,7 +74,7 @@ def camera_entity(camera: Camera) -> str:
 
 
 def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> None:
-    """Logs a camera, its track and its images as `camera_entity`.
+    """Log a camera, its track and its images as `camera_entity`.
 
     With ``images="video"`` the video file is embedded unchanged: smooth, but Rerun's desktop viewer plays H.264 only
     where FFmpeg is installed (AV1 plays without). With ``images="stills"`` it is stored as JPEGs of every fifth frame,
@@ -115,7 +115,7 @@ def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> None:
 
 
 def frame_steps(frames: int, steps: int) -> NDArray[np.int64]:
-    """Returns the step of each of ``frames`` video frames spread evenly over ``steps`` steps, shape [frames]."""
+    """Return the step of each of ``frames`` video frames spread evenly over ``steps`` steps, shape [frames]."""
     return np.floor(np.arange(frames) * steps / max(frames, 1)).astype(np.int64)
 
 
@@ -135,7 +135,7 @@ def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] 
 
 
 def _log_stills(sink: Sink, entity: str, stills: Iterable[tuple[int, bytes]]) -> None:
-    """Logs pairs of step and JPEG, 64 at a time, so that rendered stills do not pile up in memory."""
+    """Log pairs of step and JPEG, 64 at a time, so that rendered stills do not pile up in memory."""
     import rerun as rr
 
     remaining = iter(stills)
@@ -152,7 +152,7 @@ def _jpeg(bgr: NDArray[Any]) -> bytes:
 
 
 def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> list[tuple[int, bytes]]:
-    """Decodes every fifth frame of the feed's video into pairs of step and JPEG, of ``size`` (width, height)."""
+    """Decode every fifth frame of the feed's video into pairs of step and JPEG, of ``size`` (width, height)."""
     import av
     import av.error
 

@@ -70,7 +70,7 @@ class Drawable(Protocol):
 
     @property
     def deformable(self) -> bool:
-        """Returns whether its vertices change over time, as those of skinned bodies."""
+        """Return whether its vertices change over time, as those of skinned bodies."""
         ...
 
 
@@ -93,14 +93,14 @@ class PosedScene(Protocol):
 
 # --- agents -----------------------------------------------------------------------------------------------------------
 def entity_part(name: str) -> str:
-    """Name as one part of an entity path, with special characters escaped."""
+    """Return the name as one part of an entity path, with special characters escaped."""
     import rerun as rr
 
     return rr.escape_entity_path_part(name or "unnamed")
 
 
 def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
-    """Logs root frames, name tags, and trajectories with marks at both ends; and solids for agents without meshes."""
+    """Log root frames, name tags, and trajectories with marks at both ends; and solids for agents without meshes."""
     import rerun as rr
 
     for i, (agent, color) in enumerate(zip(recording.agents, agent_colors(recording.agents), strict=True)):
@@ -142,7 +142,7 @@ def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
 
 
 def agent_colors(agents: Sequence[Agent]) -> list[tuple[int, int, int]]:
-    """A colour for every agent; those of one kind differ, up to four of them."""
+    """Return a colour for every agent; those of one kind differ, up to four of them."""
     before = dict.fromkeys(AGENT_COLORS, 0)
     out = []
     for agent in agents:
@@ -177,7 +177,7 @@ class _Appearance:
 
 
 def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: float = 1.0) -> None:
-    """Logs the meshes of all drawables that do not deform, static or with a track.
+    """Log the meshes of all drawables that do not deform, static or with a track.
 
     ``share`` is the part of the byte budgets that this recording may use: less than 1 if the file holds several.
     """
@@ -212,7 +212,7 @@ def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: fl
 
 
 def _has_root(recording: Recording, agent: int) -> bool:
-    """Returns whether the agent's entities can be children of its root frame: the agent must be in the world at every step."""
+    """Return whether the agent's entities can be children of its root frame: the agent must be in the world at every step."""
     if not 0 <= agent < len(recording.agents):
         return False
     return bool(np.isfinite(recording.agent_column(agent, "base_pose")).all())
@@ -229,7 +229,7 @@ def _unique(entity: str, taken: set[str]) -> str:
 
 
 def _appearances(meshes: list[Mesh], share: float) -> list[_Appearance]:
-    """Prepares meshes for the viewer within the byte budgets; a mesh that several drawables share is prepared once."""
+    """Prepare meshes for the viewer within the byte budgets; a mesh that several drawables share is prepared once."""
     distinct = {id(m): m for m in meshes}
     ready = {key: view_mesh(m) for key, m in distinct.items()}
     # over all meshes, not the distinct ones: a file holds a shared mesh once for each of its entities
@@ -251,7 +251,7 @@ def _appearances(meshes: list[Mesh], share: float) -> list[_Appearance]:
 
 
 def _log_mesh(sink: Sink, entity: str, appearance: _Appearance, matrix: NDArray[np.floating]) -> None:
-    """Logs a mesh; parts after the first, which have textures of their own, become children of its entity."""
+    """Log a mesh; parts after the first, which have textures of their own, become children of its entity."""
     import rerun as rr
 
     for number, part in enumerate(appearance.parts):
@@ -273,7 +273,7 @@ def _log_mesh(sink: Sink, entity: str, appearance: _Appearance, matrix: NDArray[
 
 # --- skinned bodies ---------------------------------------------------------------------------------------------------
 def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: int, *, share: float = 1.0) -> None:
-    """Logs the vertices of skinned bodies every ``skin_every`` steps or less often, within ``share`` of the budget.
+    """Log the vertices of skinned bodies every ``skin_every`` steps or less often, within ``share`` of the budget.
 
     They are relative to their agent's root frame, which moves at the full rate: a walking body never jumps.
     """

@@ -21,12 +21,12 @@ ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
 """Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
 SCAN_EVERY = 3
-"""Steps between scans that are shown: 360 points take 4 kB."""
+"""Number of steps between scans that are shown: 360 points take 4 kB."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------
 def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> bool:
-    """Logs the border of the free space of an agent's centre as ``world/free_space``; returns whether there is any.
+    """Log the border of the free space of an agent's centre as ``world/free_space``; return whether there is any.
 
     Scenes without rooms and primitive shapes are skipped: extracting the floor from triangles takes longer than writing
     the rest of the file.
@@ -57,7 +57,7 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
 
 # --- scans ------------------------------------------------------------------------------------------------------------
 def log_scans(sink: Sink, recording: Recording) -> None:
-    """Logs the points that laser scanners met below ``world/scans``, every `SCAN_EVERY` steps."""
+    """Log the points that laser scanners met below ``world/scans``, every `SCAN_EVERY` steps."""
     import rerun as rr
 
     rows = np.arange(0, len(recording), SCAN_EVERY)
@@ -73,7 +73,7 @@ def log_scans(sink: Sink, recording: Recording) -> None:
 
 # --- goals ------------------------------------------------------------------------------------------------------------
 def log_goals(sink: Sink, recording: Recording) -> None:
-    """Logs the goal positions of objects and the person's current goal below ``world/goals``.
+    """Log the goal positions of objects and the person's current goal below ``world/goals``.
 
     Goals come from ``episode.info`` as written by `social_nav`, `rearrange` and HITL sessions. Malformed ones are
     skipped with a warning.
@@ -93,7 +93,7 @@ def log_goals(sink: Sink, recording: Recording) -> None:
 
 
 def stacked_labels(positions: NDArray[np.floating], labels: Sequence[str]) -> list[str]:
-    """Returns one label per point [N, 3]: points nearer than `LABEL_APART_M` to an earlier one join its label, line by line."""
+    """Return one label per point [N, 3]: points nearer than `LABEL_APART_M` to an earlier one join its label, line by line."""
     heads: list[int] = []
     texts = [""] * len(labels)
     for k, label in enumerate(labels):
@@ -135,7 +135,7 @@ def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], ND
 
 
 def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:
-    """Parses ``episode.info[key]`` as finite points [N, width]; anything else gives no points and a warning."""
+    """Parse ``episode.info[key]`` as finite points [N, width]; anything else gives no points and a warning."""
     none = np.zeros((0, width))
     if value is None:
         return none

@@ -45,12 +45,12 @@ LARGE_SHARE, LANE_SHARE = 3.0, 0.34
 
 
 def camera_name(entity: str) -> str:
-    """Name of a camera from the path of its entity."""
+    """Return the name of a camera from the path of its entity."""
     return entity.rsplit("/", 1)[-1]
 
 
 def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Blueprint:
-    """Arranges views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
+    """Arrange views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
 
     A single home stands to the left of the other views, several stand side by side above them. Pictures in third person
     are the largest. The window opens paused at the first step.

@@ -36,7 +36,7 @@ class ViewMesh:
 
 
 def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
-    """Splits a mesh into parts for the viewer: one per texture and one for untextured faces.
+    """Split a mesh into parts for the viewer: one per texture and one for untextured faces.
 
     A mesh without normals becomes flat facets. A mesh with more than ``max_vertices`` is thinned, and its textures become
     vertex colours, because thinning merges vertices across the seams of a texture atlas.
@@ -58,7 +58,7 @@ def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
 
 
 def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, texture: Texture | None) -> ViewMesh:
-    """Selects triangles of a mesh and the vertices they use."""
+    """Select triangles of a mesh and the vertices they use."""
     if mesh.normals is None:
         # facets share no vertices, else the viewer would smooth their shading
         used, corners = faces.reshape(-1), None
@@ -101,7 +101,7 @@ def view_texture(texture: Texture, side: int) -> NDArray[np.uint8]:
 
 
 def texture_bytes(texture: Texture, side: int) -> int:
-    """Size of the array that `view_texture` returns [bytes]."""
+    """Return the size of the array that `view_texture` returns [bytes]."""
     height, width = texture.pixels.shape[:2]
     columns, rows = reduced_size(width, height, side)
     return 3 * columns * rows

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 LABELS = ("a", "b")
 """Root entities of two recordings in one file."""
 SKIN_EVERY = 3
-"""Steps between samples of skinned bodies."""
+"""Number of steps between samples of skinned bodies."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,7 @@ def write_rrd(
     skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
 ) -> Path:
-    """Writes a recording as a Rerun file with a ready-made layout and returns its path.
+    """Write a recording as a Rerun file with a ready-made layout and return its path.
 
     Args:
         recording: recording to show.
@@ -100,7 +100,7 @@ def write_comparison_rrd(
     skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
 ) -> Path:
-    """Writes a Rerun file that shows two recordings side by side on one timeline, and returns its path.
+    """Write a Rerun file that shows two recordings side by side on one timeline, and return its path.
 
     The first recording lies below ``/a``, the second below ``/b``. Each has a 3-D view of its own; they share plots,
     lanes and log. They may differ in scene, agents, task and length: the shorter one stays in its last state, and its
@@ -154,7 +154,7 @@ def _write_file(
 
 
 def recorded_stream(sides: Sequence[ViewedRecording]) -> rr.RecordingStream:
-    """Returns one or two recordings as a Rerun stream in memory, with its layout.
+    """Return one or two recordings as a Rerun stream in memory, with its layout.
 
     Raises:
         InputError: a camera's video cannot be read.
@@ -205,7 +205,7 @@ def _log(
 
 
 def _log_curves(shown: ViewedRecording, sink: Sink, cameras: Sequence[CameraFeed], *, bounds: bool) -> LoggedRecording:
-    """Logs plots, lanes and texts; returns what the layout shows of this recording, with the home and the cameras."""
+    """Log plots, lanes and texts; return what the layout shows of this recording, with the home and the cameras."""
     recording, replay, compared = shown.recording, shown.replay, bool(sink.label)
     drawables = list(replay.drawables) if replay is not None else []
     ceilings = {f"world/scene/{entity_part(d.layer)}" for d in drawables if d.layer == "ceiling" and not d.moving}
@@ -265,14 +265,14 @@ def _title(shown: ViewedRecording) -> str:
 
 
 def _timeline(sides: Sequence[ViewedRecording]) -> str:
-    """Returns the timeline on which all recordings run at the same pace."""
+    """Return the timeline on which all recordings run at the same pace."""
     times = [side.recording.columns["time_ns"] for side in sides]
     common = min(len(t) for t in times)
     return "step" if all(np.array_equal(t[:common], times[0][:common]) for t in times) else "sim_time"
 
 
 def _named_cameras(shown: ViewedRecording) -> list[CameraFeed]:
-    """Feeds of the replay's own cameras that have videos."""
+    """Return feeds of the replay's own cameras that have videos."""
     if not shown.videos:
         return []
     if not isinstance(shown.replay, Replay):

@@ -26,15 +26,15 @@ class DeferredStream:
     calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
 
     def log(self, *args: Any, **options: Any) -> None:
-        """Buffers a call of `rerun.RecordingStream.log`."""
+        """Buffer a call of `rerun.RecordingStream.log`."""
         self.calls.append(("log", args, options))
 
     def send_columns(self, *args: Any, **options: Any) -> None:
-        """Buffers a call of `rerun.RecordingStream.send_columns`."""
+        """Buffer a call of `rerun.RecordingStream.send_columns`."""
         self.calls.append(("send_columns", args, options))
 
     def release(self, stream: rr.RecordingStream) -> None:
-        """Makes all buffered calls on a stream, in their order."""
+        """Make all buffered calls on a stream, in their order."""
         for name, args, options in self.calls:
             getattr(stream, name)(*args, **options)
 
@@ -53,20 +53,20 @@ class Sink:
     """Root of all its entities; empty if the file holds no other recording."""
 
     def path(self, entity: str) -> str:
-        """Returns the absolute path of an entity."""
+        """Return the absolute path of an entity."""
         return f"/{self.label}/{entity}" if self.label else f"/{entity}"
 
     def static(self, entity: str, *parts: Any) -> None:
-        """Logs components that never change."""
+        """Log components that never change."""
         # strict: a wrong component raises, where Rerun would only log a warning
         self.stream.log(self.path(entity), *parts, static=True, strict=True)
 
     def columns(self, entity: str, rows: Rows | None, columns: Iterable[rr.ComponentColumn]) -> None:
-        """Logs one value at each of ``rows``, or at every row if None; row T is one step after the last."""
+        """Log one value at each of ``rows``, or at every row if None; row T is one step after the last."""
         self.stream.send_columns(self.path(entity), self._at(rows), columns, strict=True)
 
     def moments(self, entity: str, time_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]) -> None:
-        """Logs one value at each of ``time_ns``, which may lie between rows; the step is that of the next row."""
+        """Log one value at each of ``time_ns``, which may lie between rows; the step is that of the next row."""
         import rerun as rr
 
         steps = np.searchsorted(self.time_ns, time_ns)

@@ -35,7 +35,7 @@ PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABF
 
 
 def agent_pair(recording: Recording) -> tuple[int, int] | None:
-    """Returns the robot and the human that metrics are computed for, or None if there is no such pair."""
+    """Return the robot and the human that metrics are computed for, or None if there is no such pair."""
     try:
         return find_agents(recording)
     except InputError:
@@ -43,7 +43,7 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 def touched_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
+    """Return rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
     # with several agents, `collision` may be a contact between others
     people = recording.columns.get("metrics.collision_people")
     if people is not None and people.ndim == 2:
@@ -53,7 +53,7 @@ def touched_rows(recording: Recording) -> NDArray[np.bool_]:
 
 
 def is_following(recording: Recording) -> bool:
-    """Returns whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
+    """Return whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
     return recording.episode.task == SOCIAL_NAV_PROFILE.tasks[0]
 
 
@@ -74,7 +74,7 @@ def curves_of(recording: Recording) -> tuple[dict[str, NDArray[Any]], list[str]]
 
 
 def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, bounds: bool = True) -> tuple[str, ...]:
-    """Logs every per-step scalar below ``metrics/`` and returns the paths of the distances, which share one plot.
+    """Log every per-step scalar below ``metrics/`` and return the paths of the distances, which share one plot.
 
     Args:
         shade: index of the recording, which then sets the colours and the names of its curves; for plots that several
@@ -108,7 +108,7 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
 
 # --- lanes ------------------------------------------------------------------------------------------------------------
 def lanes_of(recording: Recording) -> dict[str, list[str]]:
-    """Returns the state of every lane at each row, by lane name.
+    """Return the state of every lane at each row, by lane name.
 
     Lanes are skills, motions, requests of players of a live session, and the encounter of robot and person.
     """
@@ -130,7 +130,7 @@ def lanes_of(recording: Recording) -> dict[str, list[str]]:
 
 
 def log_lanes(sink: Sink, recording: Recording, *, ends: bool = False) -> tuple[str, ...]:
-    """Logs the lanes below ``actions/`` and returns their paths; with ``ends``, they show where the recording ends."""
+    """Log the lanes below ``actions/`` and return their paths; with ``ends``, they show where the recording ends."""
     import rerun as rr
 
     lanes = {name: states for name, states in lanes_of(recording).items() if states}
@@ -169,7 +169,7 @@ def _coded(names: tuple[str, ...], code: int) -> str:
 
 
 def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
-    """Classifies each row as apart, near, or contact.
+    """Classify each row as apart, near, or contact.
 
     If following is the task, rows can also be following (1-2 m, facing the person) and too close.
     """
@@ -186,7 +186,7 @@ def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]
 
 # --- log --------------------------------------------------------------------------------------------------------------
 def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
-    """Logs events and skills as text below ``log/``; returns whether there are any.
+    """Log events and skills as text below ``log/``; return whether there are any.
 
     With ``ends``, the end of the recording is logged as an event.
     """
@@ -207,7 +207,7 @@ def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
 
 
 def log_inputs(sink: Sink, recording: Recording) -> bool:
-    """Logs raw input of people as text below ``input/``, at the times it arrived; returns whether there is any."""
+    """Log raw input of people as text below ``input/``, at the times it arrived; return whether there is any."""
     import rerun as rr
 
     for user in sorted({event.user for event in recording.inputs}):
@@ -219,7 +219,7 @@ def log_inputs(sink: Sink, recording: Recording) -> bool:
 
 
 def log_latency(sink: Sink, recording: Recording) -> tuple[str, ...]:
-    """Logs the round trips of the players of a live session [ms] below ``latency/`` and returns their paths."""
+    """Log the round trips of the players of a live session [ms] below ``latency/`` and return their paths."""
     import rerun as rr
 
     paths = []
@@ -232,6 +232,6 @@ def log_latency(sink: Sink, recording: Recording) -> tuple[str, ...]:
 
 
 def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.bool_]:
-    """Returns the rows in which the robot is within 1-2 m of the human and faces them, shape [T]: the rows ``w`` counts."""
+    """Return the rows in which the robot is within 1-2 m of the human and faces them, shape [T]: the rows ``w`` counts."""
     robot_pose, human_pose = (recording.agent_column(agent, "base_pose") for agent in (robot, human))
     return found_series(robot_pose, human_pose, reach_distance(recording, robot, human))["found"]

@@ -9,13 +9,13 @@ from h3data.geometry import quat_from_matrix, quat_sign_continuous
 from h3data_viewers.rerun.sink import Sink
 
 BLOCK_STEPS = 4096
-"""Steps whose poses are computed and logged together; bounds the memory that a long recording takes."""
+"""Number of steps whose poses are computed and logged together; bounds the memory that a long recording takes."""
 
 
 def decompose(
     matrices: NDArray[np.floating],
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Decomposes 4x4 matrices [T, 4, 4] into positions [T, 3], quaternions [T, 4] and scales [T, 3].
+    """Decompose 4x4 matrices [T, 4, 4] into positions [T, 3], quaternions [T, 4] and scales [T, 3].
 
     A mirroring matrix gets a negative x scale.
     """
@@ -28,7 +28,7 @@ def decompose(
 
 
 def step_blocks(steps: int) -> list[NDArray[np.intp]]:
-    """Splits ``steps`` into consecutive blocks of at most `BLOCK_STEPS`, as index arrays."""
+    """Split ``steps`` into consecutive blocks of at most `BLOCK_STEPS`, as index arrays."""
     return [np.arange(start, min(start + BLOCK_STEPS, steps)) for start in range(0, steps, BLOCK_STEPS)]
 
 
@@ -46,7 +46,7 @@ class LoggedTrack:
         self._has_scale = self._logs_visibility = False
 
     def log(self, steps: NDArray[np.integer], matrices: NDArray[np.floating]) -> None:
-        """Logs poses [n, 4, 4] at the next ``steps`` [n], n >= 1; NaN where the entity is not in the world."""
+        """Log poses [n, 4, 4] at the next ``steps`` [n], n >= 1; NaN where the entity is not in the world."""
         import rerun as rr
 
         present = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))

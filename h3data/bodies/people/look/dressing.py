@@ -32,12 +32,12 @@ class Look:
     """Colors by slot in place of those of the set, whatever is worn."""
 
     def to_json(self) -> str:
-        """Returns the appearance in the form that body files hold."""
+        """Return the appearance in the form that body files hold."""
         return json.dumps(asdict(self))
 
 
 def read_look(text: str) -> Look:
-    """The reverse of `Look.to_json`."""
+    """Return the reverse of `Look.to_json`."""
     data = json.loads(text)
     complexion: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.pop("complexion").items()}
     colors = {slot: tuple(color) for slot, color in data.pop("colors").items()}
@@ -74,7 +74,7 @@ def dressed(
 
 
 def without(patch: Patch, faces: Any) -> Patch:
-    """The patch without some of its faces and the vertices that only they use."""
+    """Return the patch without some of its faces and the vertices that only they use."""
     import dataclasses
 
     used, compact = np.unique(patch.faces[~faces], return_inverse=True)

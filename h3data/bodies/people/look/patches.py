@@ -42,7 +42,7 @@ class Patch:
     joints: NDArray[np.uint8]
     """Joints that move each vertex, shape [V, 4]."""
     weights: Floats
-    """Weights of these joints, which sum to 1, shape [V, 4]."""
+    """Weights of the joints that move each vertex, which sum to 1, shape [V, 4]."""
     slots: NDArray[np.uint8]
     """Index into `SLOTS` of the colour that each vertex has, shape [V]."""
     shade: Floats
@@ -53,7 +53,7 @@ class Patch:
     """Shaded as the base is, not as its own faces lie."""
 
     def placed(self, vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
-        """Vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""
+        """Return vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""
         point = np.einsum("vk,vkj->vj", self.shares, vertices[self.corners])
         up = normalized(np.einsum("vk,vkj->vj", self.shares, normals[self.corners])).astype(np.float32)
         point += self.lift[:, None] * up
@@ -64,7 +64,7 @@ class Patch:
 
 
 def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
-    """The patch whose arrays in a file begin with ``prefix``."""
+    """Return the patch whose arrays in a file begin with ``prefix``."""
     shares = data[f"{prefix}/shares"].astype(np.float32)
     # the third one is what is left of 255, so that files hold two
     shares = np.concatenate([shares, 255 - shares.sum(axis=1, keepdims=True)], axis=1) * np.float32(SHARE_UNIT)
@@ -97,7 +97,7 @@ def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
 
 
 def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Packs canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes of small differences [3, 2, F].
+    """Pack canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes of small differences [3, 2, F].
 
     They compress to half the size.
     """

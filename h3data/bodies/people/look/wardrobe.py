@@ -32,7 +32,7 @@ class Outfit:
 
 
 def _sets(slots: tuple[str, ...], *rows: tuple[int, ...]) -> tuple[Mapping[str, Color], ...]:
-    """Sets of colors from rows that hold an sRGB triple for each of these slots."""
+    """Return the set of colors from rows that hold an sRGB triple for each of these slots."""
     return tuple({n: (row[3 * k], row[3 * k + 1], row[3 * k + 2]) for k, n in enumerate(slots)} for row in rows)
 
 
@@ -136,7 +136,7 @@ SCALP_USUAL = 0.6
 
 
 def split_outfit(name: str) -> tuple[str, str]:
-    """The body and the outfit of a name such as ``female_0:dress``; the outfit is empty where none is named."""
+    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty where none is named."""
     # the last colon, as random:SEED has one of its own
     body, _, outfit = name.rpartition(SEPARATOR)
     return (body, outfit) if body and outfit in OUTFITS else (name, "")

@@ -63,12 +63,12 @@ class _Body:
     def shelf(
         self, name: str, x: Span, y: float, z: Span, above: float, color: Color, *, thick: float = BOARD_M
     ) -> str:
-        """A board with its upper side at height ``y`` and a surface on it; returns the name."""
+        """Return a board with its upper side at height ``y`` and a surface on it; returns the name."""
         self.board((x[0], y - thick, z[0]), (x[1], y, z[1]), color)
         return self.floor(name, x, y, z, above)
 
     def floor(self, name: str, x: Span, y: float, z: Span, above: float) -> str:
-        """A surface on what is there already; returns the name."""
+        """Return a surface on what is there already; returns the name."""
         center = ((x[0] + x[1]) / 2, y, (z[0] + z[1]) / 2)
         self.surfaces.append(surface(name, center, (x[1] - x[0] - 0.02, z[1] - z[0] - 0.02), above))
         return name
@@ -85,7 +85,7 @@ def _door(
     handle: Sequence[float],
     behind: Sequence[str],
 ) -> MovingPart:
-    """A door whose panel fills a box, hinged at its outer ``left``, ``right`` or ``bottom`` edge."""
+    """Return a door whose panel fills a box, hinged at its outer ``left``, ``right`` or ``bottom`` edge."""
     (x0, x1), (y0, y1), (z0, z1) = x, y, z
     axis, origin = {
         "left": (-_Y, (x0, 0.0, z1)),
@@ -100,7 +100,7 @@ def _door(
 
 
 def _drawer(name: str, x: Span, y: Span, z: Span, front: float, color: Color, metal: Color) -> MovingPart:
-    """A drawer between ``z`` with its front at ``front``: things lie on its bottom."""
+    """Return a drawer between ``z`` with its front at ``front``: things lie on its bottom."""
     (x0, x1), (y0, y1), (z0, z1), wall = x, y, z, 0.012
     inner = MeshBuilder()
     cabinet_front(inner, x, y, front, color, metal)
@@ -161,7 +161,7 @@ def _fronts(
 
 # --- pieces -------------------------------------------------------------------------------------------------------------
 def opening_fridge(size: tuple[float, float, float], body: Color, metal: Color) -> Opening:
-    """A fridge below a freezer, each with a door."""
+    """Return a fridge below a freezer, each with a door."""
     w, h, d = size
     frame, front, split, half = _Body(), d / 2 - 0.06, 0.62 * h, w / 2
     back, wall = -d / 2, 0.04
@@ -194,7 +194,7 @@ def opening_fridge(size: tuple[float, float, float], body: Color, metal: Color) 
 
 
 def _cabinet(x: Span, y: Span, z: Span, front: Color, looks: MeshBuilder | None) -> _Body:
-    """A carcass on a plinth; for walkers it is as wide and deep as the worktop."""
+    """Return a carcass on a plinth; for walkers it is as wide and deep as the worktop."""
     frame = _Body(looks)
     frame.shell(x, y, z, shade(front, 0.9), shade(front, 0.95))
     frame.board((x[0], 0.0, z[0]), (x[1], y[0], z[1] - 0.05), (60, 58, 56))
@@ -212,7 +212,7 @@ def opening_counter(
     top: Receptacle,
     looks: MeshBuilder | None = None,
 ) -> Opening:
-    """A base cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
+    """Return a base cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
 
     Args:
         size: Width, height of the upper side and depth of the worktop [m].
@@ -280,7 +280,7 @@ def opening_counter(
 
 
 def _rack(x: Span, y: Span, z: Span) -> MovingPart:
-    """The rack of a dishwasher, which slides out once the door is down."""
+    """Return the rack of a dishwasher, which slides out once the door is down."""
     mesh, (x0, x1), (z0, z1) = MeshBuilder(), (x[0] + 0.02, x[1] - 0.02), (z[0] + 0.02, z[1] - 0.02)
     low, wire = y[0] + 0.2, (150, 154, 158)
     for i in range(21):
@@ -311,7 +311,7 @@ def _rack(x: Span, y: Span, z: Span) -> MovingPart:
 def opening_cabinet(
     width: float, depth: float, y: Span, colors: Sequence[Color], metal: Color, front: Color, looks: MeshBuilder
 ) -> Opening:
-    """A wall cabinet with doors and two boards inside; ``looks`` is what hangs with it: the tiles below."""
+    """Return a wall cabinet with doors and two boards inside; ``looks`` is what hangs with it: the tiles below."""
     frame, half = _Body(looks), width / 2
     x, z, count = (-half, half), (-depth / 2, depth / 2 - 0.02), len(colors)
     frame.shell(x, y, z, shade(front, 0.92), shade(front, 0.95))

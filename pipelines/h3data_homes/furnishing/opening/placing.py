@@ -43,7 +43,7 @@ class Opening:
 
 
 def opening_assets(opening: Opening, model: str) -> dict[str, Asset]:
-    """Assets of a piece: its body, called ``model``, and its parts."""
+    """Return assets of a piece: its body, called ``model``, and its parts."""
     body = Asset(
         name=model,
         mesh=opening.builder.mesh(),
@@ -96,7 +96,7 @@ def carrying(
     assets: Mapping[str, Asset],
     objects: Sequence[Instance],
 ) -> tuple[Articulation, ...]:
-    """The articulated things with the objects that lie in their moving parts."""
+    """Return the articulated things with the objects that lie in their moving parts."""
     by_name = {i.name: i for i in instances}
     lowest = [[0.0, float(assets[o.asset].mesh.bounds[0, 1]), 0.0] for o in objects]
     feet = (np.array([o.pose[:3] for o in objects]) + lowest).reshape(-1, 3)

@@ -99,7 +99,7 @@ class RearrangeBank:
         human: str = "female_0",
         task: Rearrange | None = None,
     ) -> RearrangeBank:
-        """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
+        """Return the first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
         Raises:
             InputError: as `EpisodeSource` and `of`.
@@ -212,7 +212,7 @@ class RearrangeBank:
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:
-        """The objects that a planner brings to their goals in each episode, in this order, [N, K]; then -1.
+        """Return the objects that a planner brings to their goals in each episode, in this order, [N, K]; then -1.
 
         Raises:
             InputError: there is no such planner.
@@ -227,12 +227,12 @@ class RearrangeBank:
 
 
 def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
-    """Objects in the order of a planner, -1 after the last, [N, K]."""
+    """Return objects in the order of a planner, -1 after the last, [N, K]."""
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
 
 
 def _ways(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[PathTable]:
-    """All paths of an episode, [F]."""
+    """Return all paths of an episode, [F]."""
     found, opening = [], []
     for number in (ROBOT, HUMAN):
         errands = errands_of(episode, number, parts)
@@ -248,7 +248,7 @@ def _spots(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[Array]:
 
 
 def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:
-    """Concatenates the tables of all episodes; returns them, and where those of each episode begin.
+    """Concatenate the tables of all episodes; return them, and where those of each episode begin.
 
     A last number is appended, so that no table is empty.
     """

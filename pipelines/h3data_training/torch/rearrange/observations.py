@@ -38,7 +38,7 @@ class Paths(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
-        """Shortest paths of both agents, from their positions now and `THEN` steps ago."""
+        """Return the shortest paths of both agents, from their positions now and `THEN` steps ago."""
         now = torch.stack([play.robot.xz, play.human.xz], 1)
         row = torch.where(play.steps >= TRACK - 1, (play.steps + 1) % TRACK, 0)
         then = play.track[torch.arange(len(row), device=row.device), row]
@@ -124,7 +124,7 @@ class View(NamedTuple):
 
     @property
     def touching(self) -> Tensor:
-        """Returns whether the agents touch, bool [W]."""
+        """Return whether the agents touch, bool [W]."""
         return self.play.collides
 
     @property
@@ -164,7 +164,7 @@ class View(NamedTuple):
 
     @property
     def close(self) -> Tensor:
-        """Returns whether the other agent is close, bool [W]."""
+        """Return whether the other agent is close, bool [W]."""
         return self.sim.close(self.now.xz, self.now.heading, self.other.xz)
 
     @property
@@ -173,11 +173,11 @@ class View(NamedTuple):
         return self.play.steps
 
     def floor_y(self) -> Tensor:
-        """Heights of the floors, [W] [m]."""
+        """Return heights of the floors, [W] [m]."""
         return self.sim.tables.floor_y[self.places.place]
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Tensor:
-        """Lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
+        """Return lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
         With ``then`` from the position `THEN` steps ago. The length to an object that is held is the straight distance, as
         tables have no paths to agents.
@@ -192,11 +192,11 @@ class View(NamedTuple):
         return torch.where(play.held_by != NOBODY, torch.hypot(gap[..., 0], gap[..., 1]), lies)
 
     def ahead(self, *, other: bool) -> Tensor:
-        """Returns where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
+        """Return where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """Number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
+        """Return the number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
@@ -206,7 +206,7 @@ class View(NamedTuple):
 
 
 def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
-    """Names of the sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
+    """Return names of the sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
     lacking = ("joints",) if parts else ("joints", "parts")
     return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
 
@@ -226,7 +226,7 @@ OF_PATHS = (
 
 
 def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED) -> tuple[str, ...]:
-    """The names, each once, if they are ``known``.
+    """Return the names, each once, if they are ``known``.
 
     Raises:
         InputError: a device does not show one of them.
@@ -238,7 +238,7 @@ def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED
 
 
 def observed(view: View, names: tuple[str, ...], sensors: Mapping[str, Sensor] = SENSES) -> dict[str, Tensor]:
-    """The named observations, each float32 [W, n]."""
+    """Return the named observations, each float32 [W, n]."""
     if view.paths is None and any(name in OF_PATHS for name in names):
         view = view._replace(paths=Paths.of(view.sim, view.play, view.places))
     return read_sensors(view, names, sensors)

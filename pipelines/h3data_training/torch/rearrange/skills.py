@@ -58,7 +58,7 @@ class Choices:
         dtype: torch.dtype,
         parts: int = 0,
     ) -> Choices:
-        """Returns the choices of a robot or a person."""
+        """Return the choices of a robot or a person."""
         opening = [kind for kind in (NAV_HANDLE, OPEN, CLOSE) for _ in range(parts)]
         primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
         changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
@@ -107,17 +107,17 @@ class Turn(NamedTuple):
 
 
 def of_object(values: Tensor, k: Tensor) -> Tensor:
-    """Values [W, K] of one object of each world."""
+    """Return values [W, K] of one object of each world."""
     return values.gather(1, k[:, None])[:, 0]
 
 
 def one_of(number: Tensor, count: int) -> Tensor:
-    """Returns whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    """Return whether each of ``count`` things is the one with a number [W], bool [W, count]."""
     return number[:, None] == torch.arange(count, device=number.device)
 
 
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
-    """Returns whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W] or, for all of them, [W, C]."""
+    """Return whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W] or, for all of them, [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
     flat = k if k.ndim == 2 else k[:, None]
     holder = hands.held_by.gather(1, flat).reshape(k.shape)
@@ -133,7 +133,7 @@ def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
 
 
 def every_choice(choices: Choices, worlds: int) -> Tensor:
-    """The numbers of all choices, [W, C]."""
+    """Return the numbers of all choices, [W, C]."""
     return torch.arange(len(choices), device=choices.kind.device).expand(worlds, -1)
 
 
@@ -199,7 +199,7 @@ def error_to(xz: Tensor, heading: Tensor, point: Tensor, bearing: float = 0.0) -
 
 
 def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[SubGoal, Tensor, Tensor, Tensor]:
-    """The point that each agent goes to now, how far it is, and whether it is the end of the path."""
+    """Return the point that each agent goes to now, how far it is, and whether it is the end of the path."""
     does = turn.does
     point = places.points(does.field, does.way)
     gap = point - xz
@@ -261,7 +261,7 @@ def move_people(turn: Turn, person: HumanTensors, places: Places, walker: Walker
 def handle(
     choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
 ) -> tuple[SubGoal, Hands]:
-    """Moves held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
+    """Move held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (kind != NAV_HANDLE) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)
@@ -288,7 +288,7 @@ def handle(
 
 
 def of_object3(values: Tensor, k: Tensor) -> Tensor:
-    """Vectors [W, K, 3] of one object of each world."""
+    """Return vectors [W, K, 3] of one object of each world."""
     return values.gather(1, k[:, None, None].expand(-1, 1, values.shape[-1]))[:, 0]
 
 

@@ -22,7 +22,7 @@ class SubGoal(NamedTuple):
     """Sub-goal of one agent in each world."""
 
     skill: Tensor
-    """Number of the agent's present choice, int64 [W]; `FREE`: it chooses in its next turn."""
+    """Number of the agent's present choice, int64 [W]; `FREE` if the agent chooses in its next turn."""
     field: Tensor
     """Number of the table of paths that the agent follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
@@ -77,7 +77,7 @@ class Hands(NamedTuple):
 
 
 class Play(NamedTuple):
-    """W worlds of robot and person."""
+    """State of W worlds, each with a robot and a person who rearrange objects."""
 
     robot: RobotTensors
     human: HumanTensors

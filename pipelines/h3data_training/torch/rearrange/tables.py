@@ -15,7 +15,7 @@ from h3data_training.torch.rearrange.bank import FLOOR, RearrangeBank
 from sim_kinematic.agents.oracle.ways import CELL_M
 
 HOPS = 4
-"""Legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
+"""Number of legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ class Tables:
         return self.spots[episode, 2 * self.objects :]
 
     def at(self, episode: Tensor) -> Places:
-        """Returns the tables of the episodes of W worlds."""
+        """Return the tables of the episodes of W worlds."""
         place = self.place[episode]
         return Places(
             self, episode, place, self.counts[place], self.corners_of[place], self.origins[place], self.shapes[place]
@@ -109,11 +109,11 @@ class Places(NamedTuple):
     shape: Tensor
 
     def _rows(self, values: Tensor, like: Tensor) -> Tensor:
-        """Values of worlds [W] with as many axes as ``like`` [W, ...]."""
+        """Return values of worlds [W] with as many axes as ``like`` [W, ...]."""
         return values.reshape(-1, *[1] * (like.ndim - 1))
 
     def spots(self, field: Tensor) -> Tensor:
-        """The start, the goal or the handle to which paths [W] lead: [W, 3]."""
+        """Return the start, the goal or the handle to which paths [W] lead: [W, 3]."""
         number, some = field % (2 * self.tables.objects), self.tables.parts
         if some:
             handle = field - 6 * self.tables.objects
@@ -135,18 +135,18 @@ class Places(NamedTuple):
         return self.tables.first[base + cell[..., 0] * (last[..., 1] + 1) + cell[..., 1]].long()
 
     def _rows_of(self, values: Tensor, like: Tensor) -> Tensor:
-        """Vectors of worlds [W, n] with the axes of ``like`` [W, ...] before the last."""
+        """Return vectors of worlds [W, n] with the axes of ``like`` [W, ...] before the last."""
         return values.reshape(len(values), *[1] * (like.ndim - 1), values.shape[-1])
 
     def after(self, field: Tensor, number: Tensor) -> Tensor:
-        """The points after corners [W, ...] of paths [W, ...]."""
+        """Return the points after corners [W, ...] of paths [W, ...]."""
         count = self._rows(self.n, field)
         first = self._rows(self.tables.after_of[self.episode], field)
         at = first + field * count + torch.minimum(number.clamp_min(0), count - 1)
         return self.tables.after[at.clamp_max(len(self.tables.after) - 1)].long()
 
     def points(self, field: Tensor, number: Tensor) -> Tensor:
-        """The points [W, ..., 2] with these numbers [W, ...] of paths [W, ...]."""
+        """Return the points [W, ..., 2] with these numbers [W, ...] of paths [W, ...]."""
         count = self._rows(self.n, field)
         corner = torch.minimum(number.clamp_min(0), (count - 1).clamp_min(0)) + self._rows(self.corners_of, field)
         corner = self.tables.corners[corner.clamp_max(len(self.tables.corners) - 1)]
@@ -155,7 +155,7 @@ class Places(NamedTuple):
         return torch.where((number >= count)[..., None], self.tables.ends[row, end], corner)
 
     def along(self, field: Tensor, xz: Tensor, lengths_m: Sequence[float]) -> Tensor:
-        """Points at given distances along paths [W, ...] from points [W, ..., 2], [W, ..., n, 2].
+        """Return points at given distances along paths [W, ...] from points [W, ..., 2], [W, ..., n, 2].
 
         A path that is shorter gives its end, and no path the point itself. At most `HOPS` corners are followed.
         """
@@ -174,7 +174,7 @@ class Places(NamedTuple):
         return torch.stack(found, -2)
 
     def lengths(self, xz: Tensor) -> Tensor:
-        """Lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
+        """Return lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
 
         They are infinite where there is no path.
         """

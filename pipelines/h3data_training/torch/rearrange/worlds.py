@@ -57,7 +57,7 @@ class RearrangeTensors:
         interrupts: Literal["close", "always", "never"] = "close",
         repeats: bool = True,
     ) -> None:
-        """Copies a bank of episodes to the device.
+        """Copy a bank of episodes to the device.
 
         Args:
             bank: the episodes.
@@ -88,7 +88,7 @@ class RearrangeTensors:
         """Plan of each episode of the bank, [N, K]."""
 
     def choices(self, agent: str) -> Choices:
-        """Returns the choices of an agent."""
+        """Return the choices of an agent."""
         return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
@@ -108,11 +108,11 @@ class RearrangeTensors:
         return self._begun(play, self._moved(play, robot, human), play.ended)
 
     def start_at(self, episode: Tensor, starts: Tensor) -> Play:
-        """All worlds at the start of these episodes [W], but with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
+        """Return all worlds at the start of these episodes [W], but with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
-        """Puts worlds that have ended at the start of their next episode."""
+        """Put worlds that have ended at the start of their next episode."""
         return self._begun(play, play, play.ended)
 
     def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:
@@ -180,7 +180,7 @@ class RearrangeTensors:
     def _chosen(
         self, agent: str, choices: Choices, does: SubGoal, choice: Tensor, close: Tensor, hands: Hands, places: Places
     ) -> tuple[SubGoal, Tensor]:
-        """Returns an agent's turn after interruptions, with a new choice if it is free."""
+        """Return an agent's turn after interruptions, with a new choice if it is free."""
         if agent in self.planners:
             return self._planned(choices, does, hands, self.at_goal(hands, places))
         choice = choice.clamp(FREE, len(choices) - 1)
@@ -189,7 +189,7 @@ class RearrangeTensors:
         return does, torch.where(choice == FREE, 4 * self.bank.objects, choice)
 
     def _planned(self, choices: Choices, does: SubGoal, hands: Hands, at_goal: Tensor) -> tuple[SubGoal, Tensor]:
-        """Lets free planners choose; returns their memory, and the number of the sub-goal chosen in each world, int64 [W]."""
+        """Let free planners choose; return their memory, and the number of the sub-goal chosen in each world, int64 [W]."""
         plan, failed = Plan(does.order, does.passed, does.tries), does.outcome == FAILED
         k, plan = plan.next(does.skill == FREE, failed, hands.held_by, at_goal, choices.who, xp=torch)
         came = torch.where(of_object(hands.held_by, k.clamp_min(0)) == choices.who, self.bank.objects + k, k)
@@ -296,7 +296,7 @@ class RearrangeTensors:
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Returns whether the discs of robot and person overlap, bool [W]."""
+        """Return whether the discs of robot and person overlap, bool [W]."""
         ahead = heading_direction(robot.heading)
         discs = torch.stack([torch.add(robot.xz, ahead, alpha=offset) for offset in self._base.disc_offsets_m])
         gap = discs - human.xz

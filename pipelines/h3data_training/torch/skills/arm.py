@@ -43,7 +43,7 @@ class Arm:
     """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
-        """Copies the kinematics of a robot's arm to the device.
+        """Copy the kinematics of a robot's arm to the device.
 
         Raises:
             InputError: the robot has no arm.
@@ -93,17 +93,17 @@ class Arm:
         )
 
     def moved(self, joints: Tensor, action: Tensor, spec: ArmSpec) -> Tensor:
-        """Joints [W, n] after a step by ``action`` [W, n], as `sim_kinematic.agents.manipulation.move_arms`."""
+        """Return joints [W, n] after a step by ``action`` [W, n], as `sim_kinematic.agents.manipulation.move_arms`."""
         most = spec.joint_step
         return torch.minimum(torch.maximum(joints + action.clamp(-1.0, 1.0) * most, self.lower), self.upper)
 
     def hand(self, joints: Tensor) -> Hand:
-        """The hand in the agent root frame at joint positions [W, n]."""
+        """Return the hand in the agent root frame at joint positions [W, n]."""
         link = self._followed(joints, self._chain)[self.robot.hand_link]
         return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
 
     def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
-        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n].
+        """Return matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n].
 
         All other joints are at rest.
         """
@@ -113,7 +113,7 @@ class Arm:
         return torch.stack([moved[link] if link in self._movable else still[:, link] for link in links], 1)
 
     def _followed(self, joints: Tensor, links: Sequence[int]) -> dict[int, Hand]:
-        """Frames of links, each listed after its parent, and of the base."""
+        """Return frames of links, each listed after its parent, and of the base."""
         count = len(joints)
         found = {-1: Hand(self._start[:3, 3].expand(count, 3), self._start[:3, :3].expand(count, 3, 3))}
         for link in links:
@@ -126,7 +126,7 @@ class Arm:
 
 
 def _movable(robot: Robot, columns: Sequence[int]) -> list[int]:
-    """The links that these joints move, each after its parent."""
+    """Return the links that these joints move, each after its parent."""
     found: list[int] = []
     for k, link in enumerate(robot.links):
         own = int(robot.kinds[k]) != FIXED and int(robot.columns[k]) in columns
@@ -136,7 +136,7 @@ def _movable(robot: Robot, columns: Sequence[int]) -> list[int]:
 
 
 def _after(joint: _Joint, parent: Hand, joints: Tensor) -> Hand:
-    """The frame of a link, from its parent's."""
+    """Return the frame of a link, from its parent's."""
     # on a GPU without a matrix product, which it might do with 10 bits
     axes = parent.axes
     parts = (axes[..., None] * joint.parts).sum(-2) if axes.is_cuda else axes @ joint.parts

@@ -53,7 +53,7 @@ class SkillBank:
 
     @classmethod
     def of(cls, starts: Sequence[tuple[RearrangeEpisode, FreeSpace, Sequence[SkillStart]]]) -> SkillBank:
-        """The starts in some episodes, each with the floor for the robot's base.
+        """Return the starts in some episodes, each with the floor for the robot's base.
 
         Raises:
             InputError: there are none, or a home is none that a device knows.
@@ -86,7 +86,7 @@ class SkillBank:
 
     @classmethod
     def merged(cls, banks: Sequence[SkillBank]) -> SkillBank:
-        """The starts of several banks, one after the other."""
+        """Return the starts of several banks, one after the other."""
         first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
         return cls(
             floors=tuple(floor for bank in banks for floor in bank.floors),

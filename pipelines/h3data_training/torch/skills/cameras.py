@@ -37,7 +37,7 @@ class SkillCameras:
         compile: bool = False,
         renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:
-        """Copies the meshes of homes, robot and objects to the GPU.
+        """Copy the meshes of homes, robot and objects to the GPU.
 
         Args:
             sim: the worlds; pictures are taken on its device.
@@ -75,7 +75,7 @@ class SkillCameras:
         self._frames = fused(self._frames_of) if compile else self._frames_of
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """Pictures of all worlds, by output, each [W, H, W', ...] on the device; depth in metres."""
+        """Return pictures of all worlds, by output, each [W, H, W', ...] on the device; depth in metres."""
         # the kernels read it from the device in every launch, a replayed graph's included
         self.renderer._held["scene_of_world"].copy_(self._place[play.episode])
         parts, objects = self._frames(play)
@@ -103,12 +103,15 @@ class SkillCameras:
 
 
 def moved_bodies(bank: SkillBank) -> list[NDArray[np.int64]]:
-    """Numbers of the instances of each home that are objects in some episode, ascending."""
+    """Return numbers of the instances of each home that are objects in some episode, ascending."""
     return [np.unique(bank.bodies[bank.place == k]) for k in range(len(bank.scenes))]
 
 
 def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
-    """A home with a robot and movable objects; the links have the same slots in all homes, the objects come after them."""
+    """Return a home with a robot and movable objects.
+
+    The links have the same slots in all homes, the objects come after them.
+    """
     from h3data_gpu import GpuScene
 
     meshes, instances, links = with_robot(scene, robot)
@@ -118,7 +121,7 @@ def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
 
 
 def _resting(bank: SkillBank, moving: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
-    """Matrices [homes, M, 3, 4] and scales [homes, M, 3] of the movable objects of the homes, at their original places.
+    """Return matrices [homes, M, 3, 4] and scales [homes, M, 3] of the movable objects of the homes, at their original places.
 
     Homes with fewer than M objects have zeros.
     """

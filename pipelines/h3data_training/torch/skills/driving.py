@@ -44,13 +44,13 @@ class Drive:
         return holds & (wide | self._has_room(place, robot.xz, robot.heading))
 
     def _has_room(self, place: Tensor, xz: Tensor, heading: Tensor) -> Tensor:
-        """Returns whether the discs of bases that carry something are clear of obstacles, bool [W]."""
+        """Return whether the discs of bases that carry something are clear of obstacles, bool [W]."""
         forward = heading_direction(heading)
         room = least_clearance(self.grids.at(place), xz, forward, self.carrying.disc_offsets_m)
         return room >= self.carrying.disc_radius_m
 
     def step(self, place: Tensor, robot: RobotTensors, action: Tensor, wide: Tensor) -> RobotTensors:
-        """The robots after ``action`` [W, 2], in the homes ``place`` [W]."""
+        """Return the robots after ``action`` [W, 2], in the homes ``place`` [W]."""
         if _on_cpu(robot):
             return self._step_on_cpu(place, robot, action, wide)
         grids = self.grids.at(place)
@@ -65,7 +65,7 @@ class Drive:
         )
 
     def _step_on_cpu(self, place: Tensor, robot: RobotTensors, action: Tensor, wide: Tensor) -> RobotTensors:
-        """The same, a third of the time: most bases are in the open, and only the others are pushed out of obstacles."""
+        """Return the same, a third of the time: most bases are in the open, and only the others are pushed out of obstacles."""
         xz, heading, contact = robot.xz.clone(), robot.heading.clone(), torch.zeros_like(robot.contact)
         for base, here in ((self.base, ~wide), (self.carrying, wide)):
             rows = here.nonzero()[:, 0]
@@ -87,5 +87,5 @@ class Drive:
 
 
 def _on_cpu(robot: RobotTensors) -> bool:
-    """Returns whether tensors may be looked at for free, and worlds chosen by what is in them."""
+    """Return whether tensors may be looked at for free, and worlds chosen by what is in them."""
     return robot.xz.device.type == "cpu" and not torch.compiler.is_compiling()

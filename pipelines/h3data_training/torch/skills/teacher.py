@@ -25,8 +25,8 @@ REACHES_M = 0.3
 ALIGNED_RAD = 0.6
 """Angle to the path up to which the robot drives on; beyond it, it turns on the spot [rad]."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
-"""By sight it reaches out wherever the target is as far away as from the stand, within this, and the stand itself is not
-farther than that by the path: around the target, and not behind a wall."""
+"""A robot that sees its target also reaches out if the distance to it differs by less than this from that at the stand, and the
+path to the stand is no longer than the second number: near the target, and not behind a wall [m]."""
 PUTS_M = 0.1
 """Distance from the goal at which the robot lets go [m]."""
 SURE = 1.5
@@ -34,7 +34,7 @@ SURE = 1.5
 
 
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
-    """Returns the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
+    """Return the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
 
     ``by_sight``: for robots that are not told the path to the stand. They cannot know whether they have arrived there, and
     what they cannot tell apart they imitate on average, which is never to reach out: none learned to pick in 0.5 M decisions,
@@ -84,5 +84,5 @@ def _seen(robot: RobotTensors, points: Tensor) -> Tensor:
 
 
 def _bearing(seen_from: Tensor) -> Tensor:
-    """The angle to the left of what is ``seen_from`` bases, forward and left [W, 2], [W]."""
+    """Return the angle to the left of what is ``seen_from`` bases, forward and left [W, 2], [W]."""
     return torch.atan2(seen_from[:, 1], seen_from[:, 0])

@@ -89,7 +89,7 @@ class SkillPlay(NamedTuple):
 
 
 def _reaching(robot: Robot, bank: SkillBank) -> Array:
-    """Joints of a robot's arm that reach for each target of a bank from its stand, [N, n]."""
+    """Return joints of a robot's arm that reach for each target of a bank from its stand, [N, n]."""
     columns, floors = list(robot.require_arm()), np.array([floor.floor_y for floor in bank.floors])
     distances = np.hypot(*(bank.point[:, [0, 2]] - bank.stand).T).round(2)
     heights = (bank.point[:, 1] - floors[bank.place]).round(2)
@@ -141,7 +141,7 @@ class SkillContext(NamedTuple):
         return self.play.held.clamp_max(ROBOT)[:, None]  # an empty hand holds object -1, which is nobody's number
 
     def path(self) -> tuple[Tensor, Tensor]:
-        """The shortest path to the stand: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
+        """Return the shortest path to the stand: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
         return self.play.way, self.play.robot.xz + self.play.towards
 
     def clearance(self, points: Tensor) -> Tensor:
@@ -168,7 +168,7 @@ class SkillTensors:
         rules: SkillSpec | None = None,
         arm: ArmSpec | None = None,
     ) -> None:
-        """Copies a bank of starts to the device.
+        """Copy a bank of starts to the device.
 
         Args:
             skill: which of the three skills.
@@ -257,7 +257,7 @@ class SkillTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
-        """All worlds after ``action`` [W, n], those that had ended at the start of their next episode.
+        """Return all worlds after ``action`` [W, n], those that had ended at the start of their next episode.
 
         A step that does not look leaves the path to the stand as it was, and so what the robot has gained on it to the next one
         that does: looking takes a third of the time.
@@ -311,7 +311,7 @@ class SkillTensors:
         return self._judged(play, moved)
 
     def _gripped(self, hand: Hand, objects: Tensor, held: Tensor, action: Tensor) -> Tensor:
-        """Returns what hands hold after a step, [W]: `sim_kinematic.agents.manipulation.grip_objects`."""
+        """Return what hands hold after a step, [W]: `sim_kinematic.agents.manipulation.grip_objects`."""
         distance, nearest = (objects - hand.point[:, None]).norm(dim=-1).min(1)
         takes = (held == NOTHING) & (action > 0) & (distance < self.arm_rules.grasp_m)
         return torch.where(takes, nearest, torch.where(action < 0, NOTHING, held))
@@ -335,7 +335,7 @@ class SkillTensors:
         return (hand.point - self._resting(robot, floor_y)).norm(dim=-1)
 
     def _resting(self, robot: RobotTensors, floor_y: Tensor) -> Tensor:
-        """Returns where hands would be at rest, in the world [W, 3]."""
+        """Return where hands would be at rest, in the world [W, 3]."""
         rest = Hand(self.rest.expand(len(floor_y), 3), self.rest.new_zeros(len(floor_y), 3, 3))
         return place_hand(rest, robot.xz, robot.heading, floor_y).point
 
@@ -398,23 +398,23 @@ class SkillTensors:
 
     # --- for those who look on ----------------------------------------------------------------------------------------
     def points(self, play: SkillPlay) -> Tensor:
-        """Returns where targets lie or are to go, [W, 3] [m]."""
+        """Return where targets lie or are to go, [W, 3] [m]."""
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
-        """Numbers of the objects, [W]."""
+        """Return numbers of the objects, [W]."""
         return self._target[play.episode]
 
     def floors(self, play: SkillPlay) -> Tensor:
-        """Heights of the floors, [W] [m]."""
+        """Return heights of the floors, [W] [m]."""
         return self._floor_y[self._place[play.episode]]
 
     def reaching(self, play: SkillPlay) -> Tensor:
-        """Joints of the arm that reach for the targets from their stands, [W, n]."""
+        """Return joints of the arm that reach for the targets from their stands, [W, n]."""
         return self._reaching[play.episode]
 
     def reach(self, play: SkillPlay) -> Tensor:
-        """Returns how far the targets are from their stands, on the floor plane [W] [m]."""
+        """Return how far the targets are from their stands, on the floor plane [W] [m]."""
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
@@ -424,7 +424,7 @@ class SkillTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
-        """Returns observations without pictures, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
+        """Return observations without pictures, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
 
         Raises:
             InputError: there is no such observation.
