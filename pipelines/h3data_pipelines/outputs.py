@@ -99,9 +99,7 @@ class _VideoSink:
 
 
 @contextmanager
-def _open_video(
-    target: Target, camera: Camera, fps: float, picture: ToPicture, encoder_threads: int
-) -> Iterator[Sink]:
+def _open_video(target: Target, camera: Camera, fps: float, picture: ToPicture, encoder_threads: int) -> Iterator[Sink]:
     from h3data.render import VideoWriter
 
     assert target.form != "png"
