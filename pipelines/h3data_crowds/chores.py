@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
-from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, blend_quats
+from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
@@ -26,6 +26,7 @@ from h3data.geometry import (
     heading_from_quat,
     minimum_jerk,
     pose_inverse,
+    quat_nlerp,
     quat_rotate,
     transform_points,
 )
@@ -578,7 +579,7 @@ def _farther(body: Humanoid, grips: Array) -> float:
         one, other = (reach_poses(body, there[k : k + 1], hand) for k, hand in enumerate(BOTH))
         if one.status[0] or other.status[0]:
             continue
-        quats = blend_quats(one.quats, other.quats, np.array([0.5]))
+        quats = quat_nlerp(one.quats, other.quats, np.full((1, 55), 0.5))
         frames = body.joint_matrices(IDENTITY_POSE[None], quats, (one.pelvis + other.pelvis) / 2)[0]
         gaps = np.linalg.norm(frames[[joints[0] for joints in ARMS], :3, 3] - grips, axis=1)
         if all(gap < 0.97 * _arm(body, side) for side, gap in enumerate(gaps.tolist())):
