@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
-from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures
+from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
@@ -26,6 +26,7 @@ from h3data.geometry import (
     heading_from_quat,
     minimum_jerk,
     pose_inverse,
+    pose_to_matrix,
     quat_nlerp,
     quat_rotate,
     transform_points,
@@ -33,7 +34,7 @@ from h3data.geometry import (
 from h3data.recording import AssetRef, Body
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
-from h3data.scene.records import Instance, instance_bounds, instance_matrix
+from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
 from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
@@ -57,6 +58,9 @@ TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
 arm's length from the shoulders, as folded arms cannot lead them."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
+BESIDE_M = (0.012, 0.03)
+"""Depths by which collision shapes may be in the door that somebody leads [m], the second where the first allows no place:
+those of children are wider than their skin."""
 ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
@@ -334,13 +338,15 @@ def chore_at(
     """
     thing = next(instance for instance in scene.instances if instance.name == stop.place)
     if stop.activity == "take":
-        places, made = _before_door(scene, thing), partial(_opening, scene, body, stop.place, number)
+        places = _before_door(scene, thing)
+        made = [partial(_opening, scene, body, stop.place, number, deep) for deep in BESIDE_M]
     else:
         wide = stop.activity == "lift" or tray
-        places, made = _around(scene, thing), partial(_surface, scene, body, thing, stop.activity, wide)
+        places, made = _around(scene, thing), [partial(_surface, scene, body, thing, stop.activity, wide)]
     room = free.signed_distance(places[:, :2]) >= ROOM_M
     room &= np.isfinite(free.geodesic(np.broadcast_to(near, places[:, :2].shape), places[:, :2]))
-    found = [chore for chore in map(made, places[room]) if chore is not None]
+    tries = ([chore for chore in map(make, places[room]) if chore is not None] for make in made)
+    found = next(filter(None, tries), list[Chore]())
     if not found:
         raise InputError(
             f"{body.name} cannot {stop.activity} at {stop.place}: no place beside it has room and is near enough for the "
@@ -451,8 +457,8 @@ def _planned(
 # --- places --------------------------------------------------------------------------------------------------------------
 def _before_door(scene: Scene, thing: Instance) -> Array:
     """Places ``(x, z, heading)`` [N, 3] before the door of a thing, facing it."""
-    k, handles = _door(scene, thing.name)
-    if k < 0:
+    joint, handles, *_ = _door(scene, thing.name)
+    if joint < 0:
         return np.zeros((0, 3))
     ahead, along, _ = _frame(handles)
     heading = float(np.arctan2(ahead[1], -ahead[0]))
@@ -481,17 +487,40 @@ def _around(scene: Scene, thing: Instance) -> Array:
     return np.array(rows)
 
 
+class Leaf(NamedTuple):
+    """A door of a thing that encloses something, at N angles from closed to `WIDE_RAD`."""
+
+    joint: int = -1
+    """Number of its joint; -1: there is none."""
+    handles: Array = np.zeros((0, 3))
+    """Places of the handle [N, 3]."""
+    back: Array = np.zeros((0, 4, 4))
+    """Matrices from the world to the frame of the panel [N, 4, 4]."""
+    half: Array = np.zeros(3)
+    """Half sizes of the panel [3]."""
+
+    def depth(self, points: Array, root: Array, k: NDArray[np.intp]) -> Array:
+        """Depth [T, C] of the deepest of points [T, C, P, 3] in an agent root's frame at angles ``k`` [T]; negative outside."""
+        moved = (self.back[k] @ pose_to_matrix(root))[:, None]
+        there = np.abs(points @ moved[..., :3, :3].swapaxes(2, 3) + moved[..., None, :3, 3])
+        return (self.half - there).min(3).max(2)
+
+
 @lru_cache(maxsize=16)
-def _door(scene: Scene, name: str) -> tuple[int, Array]:
-    """Number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3]; -1: none."""
+def _door(scene: Scene, name: str) -> Leaf:
+    """The first door of a thing that encloses something."""
     joints = joints_of(scene)
     for k, (thing, part) in enumerate(joints.parts):
         if thing.name == name and part.joint.kind == "revolute" and part.encloses:
             way = np.tile(joints.rest, (40, 1))
             way[:, k] = joints.closed[k] + np.linspace(0, WIDE_RAD, 40) * np.sign(joints.opened[k] - joints.closed[k])
             motions = joints.motions(way)[:, k]
-            return k, motions[:, :3, :3] @ handle_points(scene)[k] + motions[:, :3, 3]
-    return -1, np.zeros((0, 3))
+            leaf = next(each for each in scene.instances if joints.owner.get(each.name) == k)
+            panel = next(shape for shape in scene.assets[leaf.asset].shapes if isinstance(shape, Box))
+            back = np.linalg.inv(motions @ instance_matrix(leaf) @ pose_to_matrix(panel.pose))
+            handles = motions[:, :3, :3] @ handle_points(scene)[k] + motions[:, :3, 3]
+            return Leaf(k, handles, back, np.asarray(panel.half_extents, np.float64))
+    return Leaf()
 
 
 def _frame(handles: Array) -> tuple[Array, Array, Array]:
@@ -506,9 +535,10 @@ def _frame(handles: Array) -> tuple[Array, Array, Array]:
     return ahead, along, path[0] - radius * along
 
 
-def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array) -> Chore | None:
+def _opening(scene: Scene, body: Humanoid, name: str, number: int, deep: float, place: Array) -> Chore | None:
     """The chore of taking something out of a thing with a door, from a place [3]; None: the hands do not reach."""
-    k, handles = _door(scene, name)
+    door = _door(scene, name)
+    k, handles = door.joint, door.handles
     ahead, along, hinge = _frame(handles)
     root = ground_pose(place[:2], float(place[2]))
     opens, takes = _hands(root, hinge)
@@ -537,8 +567,37 @@ def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array)
         across = centre[[0, 2]] + (0.5 - 0.4 * (number % 3)) * width * along + (depth - 0.05) * ahead
         spot = np.array([across[0], centre[1] + ITEM_M[1], across[1]])
         if reacher(body, takes).reachable(_seen(root, spot[None]))[0]:
-            return Chore("take", name, root, spot, k, angles[:count], handles[:count])
+            side, inside = BOTH.index(opens), _seen(root, spot[None])[0]
+            count = _beside_leaf(body, door, root, side, local[:count], inside, deep)
+            if angles[count - 1] >= AJAR_RAD:
+                return Chore("take", name, root, spot, k, angles[:count], handles[:count])
     return None
+
+
+def _beside_leaf(body: Humanoid, door: Leaf, root: Array, side: int, handles: Array, spot: Array, deep: float) -> int:
+    """Number of the first angles of a door at which nobody's body but the hands is in its panel.
+
+    At each of them the hand is at the handle, while the body leans to it or to the spot for which the other hand reaches, both
+    in the frame of the agent root.
+    """
+    count, far = len(handles), 1 - side
+    lead = np.zeros((2 * count, 4, 4))
+    lead[:, side, :3], lead[:, 2 + side, :3] = np.tile(handles, (2, 1)), np.tile(handles, (2, 1))
+    lead[:, 2 + far, :3], lead[:, side, 3] = spot, 1.0
+    lead[:count, 2 + side, 3], lead[count:, 2 + far, 3] = 1.0, 1.0
+    quats, pelvis = body.clip_pose(np.zeros(len(lead), np.int64), np.zeros(len(lead)))
+    lead_hands(body, quats, pelvis, lead)
+    frames = body.joint_matrices(IDENTITY_POSE, quats, pelvis)
+    starts, ends, radii = body.capsules_world(frames)
+    points = starts[:, :, None] + np.linspace(0.0, 1.0, 5)[:, None] * (ends - starts)[:, :, None]
+    within = door.depth(points, root, np.tile(np.arange(count), 2)) + radii
+    depth = within[:, [not each.name.endswith("hand") for each in body.capsules]].max(1)
+    # leaning to the spot counts only where the door comes to rest, so at the last angle
+    leads = np.flatnonzero(depth[:count] > deep)
+    count = int(leads[0]) if len(leads) else count
+    while count > 1 and depth[len(handles) + count - 1] > deep:
+        count -= 1
+    return max(count, 1)
 
 
 def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:

@@ -1,4 +1,4 @@
-"""What people do beside walking, added to their poses and compiled: gestures, hands led to places, and poses blended.
+"""Activities beside walking, added to poses and compiled: gestures, hands led to places, and poses blended.
 
 Poses are in the agent root frame (x forward, y up, z right).
 """
