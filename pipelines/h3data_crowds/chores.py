@@ -58,8 +58,8 @@ TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
 arm's length from the shoulders, as folded arms cannot lead them."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
-BESIDE_M = (0.012, 0.03)
-"""Depths by which collision shapes may be in the door that somebody leads [m], the second where the first allows no place:
+BESIDE_M = (0.016, 0.03, 0.06)
+"""Depths by which collision shapes may be in the door that somebody leads [m], the next where one allows no place:
 those of children are wider than their skin."""
 ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
