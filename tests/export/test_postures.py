@@ -111,9 +111,11 @@ def test_bags_have_frames_of_joints_and_things(acted: h3data.Recording, steps: l
         of_topic = {
             name: [c for c in reader.connections if c.topic == name] for name in ("/tf", "/humans/bodies/tracked")
         }
-        sent = [reader.deserialize(d, c.msgtype) for c, _, d in reader.messages(of_topic["/tf"])]
-        ids = [reader.deserialize(d, c.msgtype).ids for c, _, d in reader.messages(of_topic["/humans/bodies/tracked"])]
-    assert ids == [["human"]] * len(acted)
+        sent: list[Any] = [reader.deserialize(d, c.msgtype) for c, _, d in reader.messages(of_topic["/tf"])]
+        told: list[Any] = [
+            reader.deserialize(d, c.msgtype) for c, _, d in reader.messages(of_topic["/humans/bodies/tracked"])
+        ]
+    assert [message.ids for message in told] == [["human"]] * len(acted)
     frames = [{each.child_frame_id: each.transform.translation for each in message.transforms} for message in sent]
     expected = wrists_of(Replay(acted), steps)
     (carton,) = acted.moving_bodies

@@ -187,6 +187,8 @@ export class Game {
     else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
     else if (wish === "sit") this.net.send({ k: "sit" });
+    else if (wish === "lie") this.net.send({ k: "sit", lies: true });
+    else if (wish === "wave" || wish === "phone") this.net.send({ k: "gesture", name: wish });
     else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
       else this.hud.toast(say("nothing_opens"));

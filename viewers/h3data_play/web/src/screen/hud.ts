@@ -17,7 +17,7 @@ export interface TodoItem {
 /** What the help lists: keys, and the name of the words that say what they do. */
 const KEYS: [string[], string][] = [
   [["W", "A", "S", "D"], "walk"], [["Shift"], "slow"], [["E"], "act"], [["F"], "goto"], [["O"], "turn"], [["Q"], "drop"],
-  [["G"], "give"], [["C"], "sit"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
+  [["G"], "give"], [["C"], "sit"], [["L"], "lie"], [["X"], "wave"], [["P"], "phone"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
 ];
 /** After so long a live region that was emptied is read again, even where it says the same, ms. */
 const REPEAT_MS = 60;
@@ -49,7 +49,7 @@ export class Hud {
    * talk to. */
   offers(things: boolean, joints: boolean, robot: boolean, places: boolean, talk: boolean): void {
     document.body.toggleAttribute("data-hands", things || joints);
-    const absent = new Set([...(things ? [] : ["act", "goto", "drop"]), ...(joints ? [] : ["turn"]), ...(things || joints ? [] : ["sit"]), ...(things && robot ? [] : ["give"]), ...(places ? [] : ["use", "do"]), ...(talk ? [] : ["talk"])]);
+    const absent = new Set([...(things ? [] : ["act", "goto", "drop"]), ...(joints ? [] : ["turn"]), ...(things || joints ? [] : ["sit", "lie", "wave", "phone"]), ...(things && robot ? [] : ["give"]), ...(places ? [] : ["use", "do"]), ...(talk ? [] : ["talk"])]);
     const rows = KEYS.filter(([, name]) => !absent.has(name));
     $("keys").replaceChildren(
       ...rows.flatMap(([keys, name]) => {
