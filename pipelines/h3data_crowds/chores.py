@@ -41,8 +41,12 @@ from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
-CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0}
+CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0, "knock": 3.0}
 """Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
+UNPLANNED = ("phone", "knock")
+"""Chores that are done wherever people can stand beside the thing."""
+KNUCKLES_M, KNOCKS = 0.07, 3
+"""Distance of the knuckles of a closed hand before its palm [m], and number of knocks."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
 """Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
 PHONE_M = np.array([0.005, 0.074, 0.036])
@@ -156,7 +160,7 @@ class ChoreRoutine(Routine):
         self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
-            if stop.activity not in CHORES or stop.activity == "phone":
+            if stop.activity not in CHORES or stop.activity in UNPLANNED:
                 if stop.activity == "phone" and not any(thing.name == "phone" for thing in things):
                     things.append(_body("phone", np.full(7, np.nan)))
                 continue
@@ -206,10 +210,16 @@ class ChoreRoutine(Routine):
             found, refused = super().errand_at(k, xz, taken)
             if isinstance(plan, InputError):
                 return found, (stop.place, f"{plan.code}: {plan}")
-            if found is None or stop.activity != "phone" or found[1].look is None:
+            if found is None or stop.activity not in UNPLANNED or found[1].look is None:
                 return found, refused
             (x, z), look = found[0].tolist(), found[1].look
             place = np.array([x, z, np.arctan2(z - look[1], look[0] - x)])
+            if stop.activity == "knock":
+                move = partial(self._knock, place, float(np.hypot(look[0] - x, look[1] - z)))
+                station = Station(stop.place, 0.0, np.append(place, PERSON_M), move)
+                # another name than that of the gesture, which knows no door
+                errand = found[1]._replace(look=None, station=station, activity="knocking")
+                return (found[0], errand), refused
             number = next(n for n, thing in enumerate(self._work.things) if thing.name == "phone")
             station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
@@ -265,6 +275,21 @@ class ChoreRoutine(Routine):
             work.held[number] = shown if 20 <= n < steps - 20 else np.full(7, np.nan)
             yield next(way, (place, 0.0))
         del work.held[number]
+
+    def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
+        """Yields the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
+        yield from steps_between(here, place)
+        work, right = self._work, reacher(self._body, "right")
+        door = np.array([gap - KNUCKLES_M, 0.95 * right.body.scale, 0.12])
+        t = np.arange(round(max(seconds - 1.0, 2.5) / STEP_S)) * STEP_S
+        on = _ramp(t, 0.0, 0.8) - _ramp(t, t[-1] - 0.8, t[-1])
+        back = 0.07 * np.cos(np.pi * np.clip((t - 0.8) / 0.25, 0.0, 2 * KNOCKS)) + 0.07
+        leans = bool(right.reachable(door[None])[0])
+        for n in range(len(t)):
+            work.lead[1] = [door[0] - back[n], *door[1:], on[n]]
+            work.lead[3] = [*door, 0.6 * on[n] * leans]
+            yield place, 0.0
+        work.lead[:] = 0.0
 
     # --- movements -------------------------------------------------------------------------------------------------------
     def _take(self, plan: Chore, t: Array) -> Movement:
@@ -386,7 +411,7 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
             for k in rng.permutation(len(there)).tolist() if wanted else ():
                 stop = Stop(there[k], activity, seconds)
                 try:
-                    if activity in CHORES and activity != "phone":
+                    if activity in CHORES and activity not in UNPLANNED:
                         _planned(scene, free, body, stop, start, number, tray=tray)
                 except InputError:
                     continue
