@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.errors import InputError, SceneError
@@ -65,6 +65,8 @@ AJAR_RAD, WIDE_RAD = 0.95, 1.3
 BESIDE_M = (0.016, 0.03, 0.06)
 """Depths by which collision shapes may be in the door that somebody leads [m], the next where one allows no place:
 those of children are wider than their skin."""
+SLIDE_M, ANKLES = 0.02, [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
+"""Greatest displacement of an ankle while somebody leans from one posture of reaching to another [m]; the ankles."""
 ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
@@ -622,7 +624,13 @@ def _beside_leaf(body: Humanoid, door: Leaf, root: Array, side: int, handles: Ar
     count = int(leads[0]) if len(leads) else count
     while count > 1 and depth[len(handles) + count - 1] > deep:
         count -= 1
-    return max(count, 1)
+    # between two postures that differ much, legs are blended to where the feet slide
+    quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+    stands = body.joint_matrices(IDENTITY_POSE, quats, pelvis)[:, ANKLES, :3, 3]
+    lead[count - 1, 2:, 3] = 0.5
+    lead_hands(body, quats, pelvis, lead[count - 1 : count])
+    slides = np.linalg.norm(body.joint_matrices(IDENTITY_POSE, quats, pelvis)[:, ANKLES, :3, 3] - stands, axis=-1)
+    return max(count, 1) if slides.max() < SLIDE_M else 1
 
 
 def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:
