@@ -81,7 +81,7 @@ class Sit:
     """Walks to the nearest free seat within 3 m and sits down; any other command gets up again."""
 
     lies: bool = False
-    """Whether the person then lies down, on a bed or sofa that is large enough."""
+    """True if the person then lies down, on a bed or sofa that is large enough."""
 
 
 Do = Pick | Place | Drop | HandOver | Open | Close | Sit
