@@ -92,8 +92,8 @@ GESTURES: dict[str, Gesture] = {
         ((0.62, -0.6, -0.25), (0.62, -0.52, -0.25)),
         ((0.66, -0.57, -0.28), (0.72, -0.52, -0.16), (0.76, -0.57, -0.28), (0.7, -0.6, -0.36)),
         20.0,
-        1.0,
-        15.0,
+        1.06,
+        0.0,
     ),
 }
 """Gestures by name; most are those of the activities of people who live in a home (`h3data_crowds.routines`)."""
