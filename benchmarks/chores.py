@@ -118,8 +118,9 @@ def figures_of(recording: Recording) -> dict[str, float]:
         if event.kind == "activity" and event.target in CHORES and event.target != "phone"
     ]
     for begin, end in spans:
-        # after the last step of arriving, until the first of going on
-        rows = slice(begin + 105, end - 5)
+        # from the first step in which the body leans, after those of arriving, until the first of going on
+        led = recording.columns["agent_0.motion_hands"][begin:end, 2:, 3].any(1)
+        rows = slice(begin + int(led.argmax()), end - 5)
         ankles = frames[rows][:, ANKLES][..., :3, 3]
         out["slide_mm"] = max(out["slide_mm"], 1000 * float(np.linalg.norm(ankles - ankles[:1], axis=-1).max()))
     turned = frames[..., :3, :3].astype(np.float64)

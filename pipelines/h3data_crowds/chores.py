@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid
-from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, blend_quats
+from h3data.bodies import JOINT_INDEX, Humanoid
+from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
@@ -26,21 +26,27 @@ from h3data.geometry import (
     heading_from_quat,
     minimum_jerk,
     pose_inverse,
+    pose_to_matrix,
+    quat_nlerp,
     quat_rotate,
     transform_points,
 )
 from h3data.recording import AssetRef, Body
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
-from h3data.scene.records import Instance, instance_bounds, instance_matrix
+from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
 from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, place_beside
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
-CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0}
+CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0, "knock": 3.0}
 """Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
+UNPLANNED = ("phone", "knock")
+"""Chores that are done wherever people can stand beside the thing."""
+KNUCKLES_M, KNOCKS = 0.07, 3
+"""Distance of the knuckles of a closed hand before its palm [m], and number of knocks."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
 """Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
 PHONE_M = np.array([0.005, 0.074, 0.036])
@@ -56,6 +62,11 @@ TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
 arm's length from the shoulders, as folded arms cannot lead them."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
+BESIDE_M = (0.016, 0.03, 0.06)
+"""Depths by which collision shapes may be in the door that somebody leads [m], the next where one allows no place:
+those of children are wider than their skin."""
+SLIDE_M, ANKLES = 0.02, [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
+"""Greatest displacement of an ankle while somebody leans from one posture of reaching to another [m]; the ankles."""
 ROOM_M, LEAF = 0.3, 0.16
 """Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
@@ -151,7 +162,7 @@ class ChoreRoutine(Routine):
         self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
-            if stop.activity not in CHORES or stop.activity == "phone":
+            if stop.activity not in CHORES or stop.activity in UNPLANNED:
                 if stop.activity == "phone" and not any(thing.name == "phone" for thing in things):
                     things.append(_body("phone", np.full(7, np.nan)))
                 continue
@@ -201,10 +212,16 @@ class ChoreRoutine(Routine):
             found, refused = super().errand_at(k, xz, taken)
             if isinstance(plan, InputError):
                 return found, (stop.place, f"{plan.code}: {plan}")
-            if found is None or stop.activity != "phone" or found[1].look is None:
+            if found is None or stop.activity not in UNPLANNED or found[1].look is None:
                 return found, refused
             (x, z), look = found[0].tolist(), found[1].look
             place = np.array([x, z, np.arctan2(z - look[1], look[0] - x)])
+            if stop.activity == "knock":
+                move = partial(self._knock, place, float(np.hypot(look[0] - x, look[1] - z)))
+                station = Station(stop.place, 0.0, np.append(place, PERSON_M), move)
+                # another name than that of the gesture, which knows no door
+                errand = found[1]._replace(look=None, station=station, activity="knocking")
+                return (found[0], errand), refused
             number = next(n for n, thing in enumerate(self._work.things) if thing.name == "phone")
             station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
@@ -260,6 +277,21 @@ class ChoreRoutine(Routine):
             work.held[number] = shown if 20 <= n < steps - 20 else np.full(7, np.nan)
             yield next(way, (place, 0.0))
         del work.held[number]
+
+    def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
+        """Yield the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
+        yield from steps_between(here, place)
+        work, right = self._work, reacher(self._body, "right")
+        door = np.array([gap - KNUCKLES_M, 0.95 * right.body.scale, 0.12])
+        t = np.arange(round(max(seconds - 1.0, 2.5) / STEP_S)) * STEP_S
+        on = _ramp(t, 0.0, 0.8) - _ramp(t, t[-1] - 0.8, t[-1])
+        back = 0.07 * np.cos(np.pi * np.clip((t - 0.8) / 0.25, 0.0, 2 * KNOCKS)) + 0.07
+        leans = bool(right.reachable(door[None])[0])
+        for n in range(len(t)):
+            work.lead[1] = [door[0] - back[n], *door[1:], on[n]]
+            work.lead[3] = [*door, 0.6 * on[n] * leans]
+            yield place, 0.0
+        work.lead[:] = 0.0
 
     # --- movements -------------------------------------------------------------------------------------------------------
     def _take(self, plan: Chore, t: Array) -> Movement:
@@ -333,13 +365,15 @@ def chore_at(
     """
     thing = next(instance for instance in scene.instances if instance.name == stop.place)
     if stop.activity == "take":
-        places, made = _before_door(scene, thing), partial(_opening, scene, body, stop.place, number)
+        places = _before_door(scene, thing)
+        made = [partial(_opening, scene, body, stop.place, number, deep) for deep in BESIDE_M]
     else:
         wide = stop.activity == "lift" or tray
-        places, made = _around(scene, thing), partial(_surface, scene, body, thing, stop.activity, wide)
+        places, made = _around(scene, thing), [partial(_surface, scene, body, thing, stop.activity, wide)]
     room = free.signed_distance(places[:, :2]) >= ROOM_M
     room &= np.isfinite(free.geodesic(np.broadcast_to(near, places[:, :2].shape), places[:, :2]))
-    found = [chore for chore in map(made, places[room]) if chore is not None]
+    tries = ([chore for chore in map(make, places[room]) if chore is not None] for make in made)
+    found = next(filter(None, tries), list[Chore]())
     if not found:
         raise InputError(
             f"{body.name} cannot {stop.activity} at {stop.place}: no place beside it has room and is near enough for the "
@@ -379,7 +413,7 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
             for k in rng.permutation(len(there)).tolist() if wanted else ():
                 stop = Stop(there[k], activity, seconds)
                 try:
-                    if activity in CHORES and activity != "phone":
+                    if activity in CHORES and activity not in UNPLANNED:
                         _planned(scene, free, body, stop, start, number, tray=tray)
                 except InputError:
                     continue
@@ -450,8 +484,8 @@ def _planned(
 # --- places --------------------------------------------------------------------------------------------------------------
 def _before_door(scene: Scene, thing: Instance) -> Array:
     """Places ``(x, z, heading)`` [N, 3] before the door of a thing, facing it."""
-    k, handles = _door(scene, thing.name)
-    if k < 0:
+    joint, handles, *_ = _door(scene, thing.name)
+    if joint < 0:
         return np.zeros((0, 3))
     ahead, along, _ = _frame(handles)
     heading = float(np.arctan2(ahead[1], -ahead[0]))
@@ -480,20 +514,40 @@ def _around(scene: Scene, thing: Instance) -> Array:
     return np.array(rows)
 
 
-@lru_cache(maxsize=16)
-def _door(scene: Scene, name: str) -> tuple[int, Array]:
-    """Return the number of the joint of a thing's first door that encloses something, and its handle when it opens [N, 3].
+class Leaf(NamedTuple):
+    """A door of a thing that encloses something, at N angles from closed to `WIDE_RAD`."""
 
-    The number is -1 if there is no such door.
-    """
+    joint: int = -1
+    """Number of its joint; -1: there is none."""
+    handles: Array = np.zeros((0, 3))
+    """Places of the handle [N, 3]."""
+    back: Array = np.zeros((0, 4, 4))
+    """Matrices from the world to the frame of the panel [N, 4, 4]."""
+    half: Array = np.zeros(3)
+    """Half sizes of the panel [3]."""
+
+    def depth(self, points: Array, root: Array, k: NDArray[np.intp]) -> Array:
+        """Return the depth [T, C] of the deepest of points [T, C, P, 3] in an agent root's frame at angles ``k`` [T]; negative outside."""
+        moved = (self.back[k] @ pose_to_matrix(root))[:, None]
+        there = np.abs(points @ moved[..., :3, :3].swapaxes(2, 3) + moved[..., None, :3, 3])
+        return (self.half - there).min(3).max(2)
+
+
+@lru_cache(maxsize=16)
+def _door(scene: Scene, name: str) -> Leaf:
+    """Return the first door of a thing that encloses something."""
     joints = joints_of(scene)
     for k, (thing, part) in enumerate(joints.parts):
         if thing.name == name and part.joint.kind == "revolute" and part.encloses:
             way = np.tile(joints.rest, (40, 1))
             way[:, k] = joints.closed[k] + np.linspace(0, WIDE_RAD, 40) * np.sign(joints.opened[k] - joints.closed[k])
             motions = joints.motions(way)[:, k]
-            return k, motions[:, :3, :3] @ handle_points(scene)[k] + motions[:, :3, 3]
-    return -1, np.zeros((0, 3))
+            leaf = next(each for each in scene.instances if joints.owner.get(each.name) == k)
+            panel = next(shape for shape in scene.assets[leaf.asset].shapes if isinstance(shape, Box))
+            back = np.linalg.inv(motions @ instance_matrix(leaf) @ pose_to_matrix(panel.pose))
+            handles = motions[:, :3, :3] @ handle_points(scene)[k] + motions[:, :3, 3]
+            return Leaf(k, handles, back, np.asarray(panel.half_extents, np.float64))
+    return Leaf()
 
 
 def _frame(handles: Array) -> tuple[Array, Array, Array]:
@@ -508,9 +562,10 @@ def _frame(handles: Array) -> tuple[Array, Array, Array]:
     return ahead, along, path[0] - radius * along
 
 
-def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array) -> Chore | None:
+def _opening(scene: Scene, body: Humanoid, name: str, number: int, deep: float, place: Array) -> Chore | None:
     """Return the chore of taking something out of a thing with a door, from a place [3]; None: the hands do not reach."""
-    k, handles = _door(scene, name)
+    door = _door(scene, name)
+    k, handles = door.joint, door.handles
     ahead, along, hinge = _frame(handles)
     root = ground_pose(place[:2], float(place[2]))
     opens, takes = _hands(root, hinge)
@@ -539,8 +594,43 @@ def _opening(scene: Scene, body: Humanoid, name: str, number: int, place: Array)
         across = centre[[0, 2]] + (0.5 - 0.4 * (number % 3)) * width * along + (depth - 0.05) * ahead
         spot = np.array([across[0], centre[1] + ITEM_M[1], across[1]])
         if reacher(body, takes).reachable(_seen(root, spot[None]))[0]:
-            return Chore("take", name, root, spot, k, angles[:count], handles[:count])
+            side, inside = BOTH.index(opens), _seen(root, spot[None])[0]
+            count = _beside_leaf(body, door, root, side, local[:count], inside, deep)
+            if angles[count - 1] >= AJAR_RAD:
+                return Chore("take", name, root, spot, k, angles[:count], handles[:count])
     return None
+
+
+def _beside_leaf(body: Humanoid, door: Leaf, root: Array, side: int, handles: Array, spot: Array, deep: float) -> int:
+    """Return the number of the first angles of a door at which nobody's body but the hands is in its panel.
+
+    At each of them the hand is at the handle, while the body leans to it or to the spot for which the other hand reaches, both
+    in the frame of the agent root.
+    """
+    count, far = len(handles), 1 - side
+    lead = np.zeros((2 * count, 4, 4))
+    lead[:, side, :3], lead[:, 2 + side, :3] = np.tile(handles, (2, 1)), np.tile(handles, (2, 1))
+    lead[:, 2 + far, :3], lead[:, side, 3] = spot, 1.0
+    lead[:count, 2 + side, 3], lead[count:, 2 + far, 3] = 1.0, 1.0
+    quats, pelvis = body.clip_pose(np.zeros(len(lead), np.int64), np.zeros(len(lead)))
+    lead_hands(body, quats, pelvis, lead)
+    frames = body.joint_matrices(IDENTITY_POSE, quats, pelvis)
+    starts, ends, radii = body.capsules_world(frames)
+    points = starts[:, :, None] + np.linspace(0.0, 1.0, 5)[:, None] * (ends - starts)[:, :, None]
+    within = door.depth(points, root, np.tile(np.arange(count), 2)) + radii
+    depth = within[:, [not each.name.endswith("hand") for each in body.capsules]].max(1)
+    # leaning to the spot counts only where the door comes to rest, so at the last angle
+    leads = np.flatnonzero(depth[:count] > deep)
+    count = int(leads[0]) if len(leads) else count
+    while count > 1 and depth[len(handles) + count - 1] > deep:
+        count -= 1
+    # between two postures that differ much, legs are blended to where the feet slide
+    quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+    stands = body.joint_matrices(IDENTITY_POSE, quats, pelvis)[:, ANKLES, :3, 3]
+    lead[count - 1, 2:, 3] = 0.5
+    lead_hands(body, quats, pelvis, lead[count - 1 : count])
+    slides = np.linalg.norm(body.joint_matrices(IDENTITY_POSE, quats, pelvis)[:, ANKLES, :3, 3] - stands, axis=-1)
+    return max(count, 1) if slides.max() < SLIDE_M else 1
 
 
 def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: bool, place: Array) -> Chore | None:
@@ -586,7 +676,7 @@ def _farther(body: Humanoid, grips: Array) -> float:
         one, other = (reach_poses(body, there[k : k + 1], hand) for k, hand in enumerate(BOTH))
         if one.status[0] or other.status[0]:
             continue
-        quats = blend_quats(one.quats, other.quats, np.array([0.5]))
+        quats = quat_nlerp(one.quats, other.quats, np.full((1, 55), 0.5))
         frames = body.joint_matrices(IDENTITY_POSE[None], quats, (one.pelvis + other.pelvis) / 2)[0]
         gaps = np.linalg.norm(frames[[joints[0] for joints in ARMS], :3, 3] - grips, axis=1)
         if all(gap < 0.97 * _arm(body, side) for side, gap in enumerate(gaps.tolist())):

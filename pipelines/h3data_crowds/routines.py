@@ -55,6 +55,9 @@ ACTIVITIES: dict[str, Activity] = {
     "read": Activity(("sofa", "armchair", "rocking_chair"), 20.0, 60.0, "sit"),
     "work": Activity(("desk",), 40.0, 120.0, "sit"),
     "look_out": Activity(("window",), 5.0, 20.0),
+    "wave": Activity(("window",), 3.0, 6.0),
+    "knock": Activity(("door",), 3.0, 6.0),
+    "dishes": Activity(("kitchen_counter",), 20.0, 60.0),
     "rest": Activity(("bed", "sofa"), 20.0, 60.0, "lie"),
 }
 """Activities by name."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot
+from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import H3DataError, InputError
 from h3data.files import path_inside, size_text
 from h3data.formats import BagStorage, Exported, ExportRequest
@@ -21,12 +22,13 @@ from h3data.recording.records import Recording
 from h3data.recording.scans import Scan, clouds_of, scans_of
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
+from h3data.replay.posed_recording import PosedRecording
 from h3data.scene import FreeSpace, Scene, load_scene
 from h3data_exporters.posing import drawn_note
 from h3data_ros.frames import FROM_WORLD, pose_to_ros, safe_names
 from h3data_ros.messages import delivery, message_types, require_rosbags
 from h3data_ros.occupancy import map_of
-from h3data_ros.robot_links import RobotLinks, robot_links
+from h3data_ros.robot_links import BLOCK, RobotLinks, robot_links
 from h3data_ros.scans import RANGE_M, cast_scans
 from h3data_ros.stored_columns import COLUMNS_TOPIC, EPISODE_TOPIC, carried, episode_text, labels_of, rows_of
 
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.rosbag2 import Writer
 
-MAP, PERSON = "map", "person_"
+MAP, PERSON, THING = "map", "person_", "object_"
+BODY_JOINTS = 22
+"""Joints of people whose frames are written: those of the body, without face and fingers."""
 FILES = "h3data"
 """Folder in the bag with the files of the recording, above all its scene."""
 START_NS = 1_000_000_000
@@ -103,9 +107,10 @@ def write_rosbag2(
 ) -> BagFile:
     """Write a recording into the folder ``path`` as a bag of ROS 2 that Humble to Jazzy read, with message definitions.
 
-    Frames follow REP 103 and 105: ``map`` > ``odom`` > ``base_footprint`` > ``base_link``, ``person_<name>`` and
-    ``<camera>_optical_frame`` in ``map``. Several robots have their names before topics and frames. Stamps are the times of
-    the recording. All numbers of poses come back exactly by `h3data_ros.bag_import.read_rosbag2`.
+    Frames follow REP 103 and 105: ``map`` > ``odom`` > ``base_footprint`` > ``base_link``; in ``map`` also ``person_<name>``,
+    the joints of people, such as ``left_wrist_<name>``, things that move, ``object_<name>``, and ``<camera>_optical_frame``.
+    Several robots have their names before topics and frames. Stamps are the times of the recording. All numbers of poses come
+    back exactly by `h3data_ros.bag_import.read_rosbag2`.
 
     Args:
         recording: The recording.
@@ -236,6 +241,8 @@ class _Export:
             robot.number: found for robot in self._robots if (found := self._describe(robot)) is not None
         }
 
+        self._parts = self._joints() | self._things()
+
     def write(self, pictures: Pictures) -> None:
         """Write all messages."""
         layout = carried(
@@ -336,6 +343,11 @@ class _Export:
                     ]
         moved += [
             self._transform(t, MAP, person.frame, person.poses[step]) for person in self._people if person.known[step]
+        ]
+        moved += [
+            self._transform(t, MAP, name, poses[step])
+            for name, poses in self._parts.items()
+            if np.isfinite(poses[step]).all()
         ]
         for view, name in zip(self._cameras, self._camera_names, strict=True):
             pose = pose_multiply(
@@ -458,6 +470,8 @@ class _Export:
         self._put("/people", "people_msgs/People", t, header=self._header(t, MAP), people=people)
         ids = [person.name for person in here]
         self._put("/humans/persons/tracked", "hri_msgs/IdsList", t, header=self._header(t, ""), ids=ids)
+        ids = [person.name for person in here if f"{JOINT_NAMES[0]}_{person.name}" in self._parts]
+        self._put("/humans/bodies/tracked", "hri_msgs/IdsList", t, header=self._header(t, ""), ids=ids)
 
     def _write_pictures(self, step: int, t: int, images: Sequence[NDArray[np.uint8]]) -> None:
         import cv2
@@ -519,6 +533,35 @@ class _Export:
             turning=np.nan_to_num(turning, nan=0.0),
             known=np.asarray(known),
         )
+
+    def _joints(self) -> dict[str, NDArray[np.float64]]:
+        """Poses in ``map`` [T, 7] of the joints of people with a built-in body, by frame: as replays pose them."""
+        found = dict[str, NDArray[np.float64]]()
+        people = [person for person in self._people if self._recording.agents[person.number].model]
+        try:
+            replay = PosedRecording(self._recording, detail=False) if people else None
+        except H3DataError as fault:
+            self.notes.append(f"No frames of the joints of people: {fault}")
+            return found
+        for person in people:
+            assert replay is not None
+            for start in range(0, len(self._times), BLOCK):
+                rows = np.arange(start, min(start + BLOCK, len(self._times)))
+                frames = replay.joint_matrices(person.number, rows)[:, :BODY_JOINTS].astype(np.float64)
+                for k, name in enumerate(JOINT_NAMES[:BODY_JOINTS]):
+                    poses = found.setdefault(f"{name}_{person.name}", np.full((len(self._times), 7), np.nan))
+                    there = np.isfinite(frames[:, k]).all((1, 2))
+                    poses[rows[there]] = pose_to_ros(pose_from_matrix(frames[there, k]))
+        return found
+
+    def _things(self) -> dict[str, NDArray[np.float64]]:
+        """Poses in ``map`` [T, 7] of the things that move in the recording, by frame."""
+        poses = self._recording.columns.get("object_pose", np.zeros((len(self._times), 0, 7)))
+        bodies = [
+            body for body in self._recording.moving_bodies if (poses[:, body.moving] != poses[:1, body.moving]).any()
+        ]
+        names = safe_names([body.name for body in bodies], "object")
+        return {f"{THING}{name}": pose_to_ros(poses[:, body.moving]) for name, body in zip(names, bodies, strict=True)}
 
     def _describe(self, robot: _Mover) -> _Described | None:
         """Return the URDF and the frames of the links of a robot; None, with a note, if there is no such robot here."""

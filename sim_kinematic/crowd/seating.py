@@ -165,14 +165,20 @@ class Seats:
             )
         return lies
 
-    def nearest(self, xz: Array, within_m: float, taken: Sequence[Array] = ()) -> SeatPlace | None:
-        """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
+    def nearest(
+        self, xz: Array, within_m: float, taken: Sequence[Array] = (), *, lies: bool = False
+    ) -> SeatPlace | None:
+        """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none.
+
+        If ``lies``, the person lies down there.
+        """
         gaps = {seat.name: float(np.hypot(*(seat.edge[[0, 2]] - xz))) for seat in self._seats}
         for seat in sorted(self._seats, key=lambda seat: gaps[seat.name]):
             if gaps[seat.name] > within_m:
                 break
             try:
                 place = self.place(seat, taken)
+                place = self.to_lie(place, taken) if lies else place
             except InputError:
                 continue
             if np.isfinite(self._free.geodesic(xz, place.before[:2])):
@@ -219,13 +225,19 @@ class Seats:
 def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
     """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
     yield from take_seat(here, place)
-    up, steps = 1.0 if place.lie is None else 2.0, round(LIE_S / STEP_S) + 1
-    # each part of lying down and sitting up begins and ends at rest, so the share itself need not
-    way = [(root_at(place, share), share) for share in np.linspace(1, up, steps).tolist()] if up > 1 else []
+    way = lying_way(place)
+    at, up = way[-1]
     yield from way[1:]
-    yield from _shares(root_at(place, up), up, up, seconds)
+    yield from _shares(at, up, up, seconds)
     yield from way[-2::-1]
     yield from leave_seat(place.stand, place, 1.0)
+
+
+def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:
+    """Return the places and shares of somebody who lies down from sitting (1), or only the first if they do not lie."""
+    steps, up = (1, 1.0) if place.lie is None else (round(LIE_S / STEP_S) + 1, 2.0)
+    # each part of lying down and sitting up begins and ends at rest, so the share itself need not
+    return [(root_at(place, share), share) for share in np.linspace(1, up, steps).tolist()]
 
 
 def root_at(place: SeatPlace, share: float) -> Array:

@@ -13,6 +13,7 @@ from benchmarks.people import hall
 from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.people.reach import hand_points
 from h3data.errors import InputError, SceneError
+from h3data.geometry import pose_to_matrix
 from h3data.recording import read_mcap, write_mcap
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
@@ -165,3 +166,30 @@ def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None
     episode = task.sample(scene, home, 1, SocialNavSpec(max_steps=2), make_roster(["human"]))
     with pytest.raises(SceneError, match="H3-TASK-089"):
         simulate(task, episode, {"human": "orca+breakfast"})
+
+
+def knocker(task: Any, episode: Any, number: int) -> CrowdPolicy:
+    """A person who knocks at the front door."""
+    body, start = episode.roster[number].body, episode.starts[number, :2]
+    routine = ChoreRoutine(episode.scene, episode.free, [Stop("front_door", "knock", 5.0)], body, start=start)
+    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+
+
+@pytest.mark.slow
+def test_knuckles_come_to_the_door_three_times() -> None:
+    agents = {"human": f"{__name__}:knocker"}
+    knocks = h3data.simulate("wander", "medium2:1", roster=["female_1"], agents=agents, seed=3, max_steps=900)
+    begin = next(event.step for event in knocks.events if event.kind == "activity" and event.target == "knocking")
+    replay, rows = Replay(knocks), np.arange(begin, min(begin + 150, len(knocks)))
+    body, lead = replay.model(0), knocks.columns["agent_0.motion_hands"][rows, 1]
+    assert isinstance(body, Humanoid)
+    held = lead[:, 3] == 1
+    ahead = lead[held, 0].astype(np.float64)
+    near = ahead > ahead.max() - 0.005
+    assert np.diff(near.astype(int)).clip(0).sum() + near[0] == 3
+    # the palm is where it is led, in the frame of the root
+    root = pose_to_matrix(knocks.columns["agent_0.base_pose"][rows[held]].astype(np.float64))
+    palm = hand_points(replay.joint_matrices(0, rows[held]), body)
+    there = np.einsum("tab,tb->ta", root[:, :3, :3], lead[held, :3]) + root[:, :3, 3]
+    np.testing.assert_allclose(palm, there, atol=5e-3)
+    assert verify(knocks).difference is None

@@ -90,6 +90,7 @@ def test_a_bag_holds_the_topics_of_a_robot(recording: Recording, bag: Path) -> N
         "/scan": "sensor_msgs/msg/LaserScan",
         "/people": "people_msgs/msg/People",
         "/humans/persons/tracked": "hri_msgs/msg/IdsList",
+        "/humans/bodies/tracked": "hri_msgs/msg/IdsList",
         "/robot_description": "std_msgs/msg/String",
         "/h3data/episode": "std_msgs/msg/String",
         "/h3data/columns": "std_msgs/msg/Float64MultiArray",

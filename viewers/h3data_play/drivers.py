@@ -11,14 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from h3data.bodies.people.gestures import ARMS, GESTURES
+from h3data.bodies.people.gestures import Gesture as GestureKeys
 from h3data.errors import InputError
-from h3data.geometry import Array, heading_from_quat
+from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, minimum_jerk
 from h3data.scene import FreeSpace
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
     Act,
     Close,
     Drop,
+    Gesture,
     Give,
     GoTo,
     Hand,
@@ -40,7 +43,7 @@ from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, Message, sentence
 from sim_kinematic.avoidance.robot_base import agent_base
-from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
@@ -52,6 +55,9 @@ MOST_UNSAID = 5
 """Number of messages of a player that wait for their step; one is said in each."""
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
+
+WAVES = 3
+"""Number of movements of a hand that waves."""
 
 
 class Driver:
@@ -348,6 +354,8 @@ class PersonDriver(SkillDriver):
         super().__init__(session, number)
         self.hands: dict[str, HandTarget] = {}
         self.head: tuple[float, float] | None = None
+        self.gesture, self.gestured = "", 0
+        """Name of the gesture, and number of its steps so far."""
 
     def follow(self, message: Act) -> str:
         """Carries out a message; those about hands and head set their targets."""
@@ -365,13 +373,37 @@ class PersonDriver(SkillDriver):
         if isinstance(message, Sit):
             sits = self.body.seat is not None
             self.do([])
-            self.queue = [] if sits else [SitSkill()]
+            self.queue = [] if sits else [SitSkill(message.lies)]
+            return ""
+        if isinstance(message, Gesture):
+            if self.objects.held(self.number) >= 0:
+                return sentence("hand_full")
+            self.gesture, self.gestured = "" if message.name == self.gesture else message.name, 0
             return ""
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
-        """Command of a velocity with the targets of hands and head."""
-        return PersonCommand(forward, turn, self.hands.get("left"), self.hands.get("right"), self.head)
+        """Command of a velocity with the targets of hands and head, or those of a gesture."""
+        right, head = self.hands.get("right"), self.head
+        if self.gesture:
+            gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
+            self.gestured += 1
+            if self.gesture == "wave" and seconds >= WAVES * gesture.seconds:
+                self.gesture = ""
+            right = right or HandTarget(tuple(self.reach_of(gesture, seconds).tolist()))
+            head = head or (0.0, float(np.radians(gesture.head_deg)))
+        return PersonCommand(forward, turn, self.hands.get("left"), right, head)
+
+    def reach_of(self, gesture: GestureKeys, seconds: float) -> Array:
+        """Place of the right palm [3] in the person's root frame during a gesture."""
+        body = self.body.person.body
+        standing = body.joint_matrices(IDENTITY_POSE, *body.clip_pose([0], [0.0]))[0]
+        shoulder, elbow, wrist = ARMS[1]
+        arm = float(np.linalg.norm(body.joint_offsets[[elbow, wrist]], axis=1).sum())
+        at = seconds / gesture.seconds % 1.0 * len(gesture.right)
+        k = int(at)
+        here, there = (np.array(gesture.right[n % len(gesture.right)], np.float64) for n in (k, k + 1))
+        return standing[shoulder, :3, 3] + arm * (here + minimum_jerk(at - k) * (there - here))
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""

@@ -96,7 +96,15 @@ class Close(Message, frozen=True, tag="close"):
 
 
 class Sit(Message, frozen=True, tag="sit"):
-    """Walks to the nearest free seat and sits down, or gets up."""
+    """Walks to the nearest free seat and sits down, or gets up; with ``lies``, to one on which the person then lies down."""
+
+    lies: bool = False
+
+
+class Gesture(Message, frozen=True, tag="gesture"):
+    """Waves with the right hand, or looks at a phone until the same message comes again."""
+
+    name: Literal["wave", "phone"]
 
 
 class Hand(Message, frozen=True, tag="hand"):
@@ -183,6 +191,7 @@ Act = (
     | Open
     | Close
     | Sit
+    | Gesture
     | Use
     | Bring
     | Say

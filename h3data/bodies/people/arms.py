@@ -1,8 +1,6 @@
-"""Arms of a person: folded where there is little room, and bent so that the wrists are at given places."""
+"""Arms of a person, folded where there is little room."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +8,7 @@ from numpy.typing import ArrayLike
 from h3data.bodies.people.legs import SIDES, X, Y, Z, rotation
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import Array, normalized, quat_from_matrix
+from h3data.geometry import Array, quat_from_matrix
 
 HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
 """Angles of a folded upper arm: downwards from the T-pose, forwards, and inwards about itself, which brings a bent forearm in
@@ -24,7 +22,7 @@ CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 1
 belly."""
 
 ARM_JOINTS = ("shoulder", "elbow", "wrist")
-"""Joints of an arm whose rotations `bend_arms` gives."""
+"""Joints of an arm that are turned where hands are led to places."""
 
 
 def _shoulders(forward: float, hang: float, twist: float) -> Array:
@@ -89,55 +87,3 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
     # collars last, and only here: poses by clips, on which contact is based, keep their shoulders back
     if shoulders_forward:
         tuck_all(quats, every, _COLLARS, _COLLARS_IN)
-
-
-def bend_arms(
-    offsets: Array,
-    frames: Array,
-    wrists: Array,
-    *,
-    pole: Sequence[float],
-    twist_deg: float = 0.0,
-    wrist_deg: float = 0.0,
-) -> Array:
-    """Return rotations [T, 2, 3, 4] of `ARM_JOINTS`, left and right, that put wrists at places: two-bone arms in closed form.
-
-    Args:
-        offsets: Places of the joints in the frames of their parents [55, 3] [m] (`Humanoid.joint_offsets`).
-        frames: Frames of the joints in the agent root frame [T, 55, 4, 4], of which trunk and collars count.
-        wrists: Places of the left and the right wrist in that frame [T, 2, 3] [m]. Those out of reach are approached.
-        pole: Direction of the elbows: ahead, up and outwards.
-        twist_deg: Twist of the forearm and again of the wrist, which turns the palm down.
-        wrist_deg: Extension of the wrist.
-    """
-    turns = []
-    for k, (side, sign, _) in enumerate(SIDES):
-        collar, shoulder, elbow, wrist = (JOINT_INDEX[f"{side}_{name}"] for name in ("collar", *ARM_JOINTS))
-        upper = offsets[elbow]
-        a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(offsets[wrist]))
-        way = wrists[:, k] - frames[:, shoulder, :3, 3]
-        # a stretched arm has no plane in which to bend, and one that is folded flat none either
-        reach = np.clip(np.linalg.norm(way, axis=1), 1.02 * abs(a - b), 0.98 * (a + b))[:, None]
-        ahead = normalized(way)
-        out = np.array(pole) * (1.0, 1.0, -sign)
-        out = normalized(out - (ahead @ out)[:, None] * ahead)
-        # the law of cosines at the shoulder
-        cosine = np.clip((a * a + reach * reach - b * b) / (2 * a * reach), -1, 1)
-        bone = cosine * ahead + np.sqrt(1 - cosine * cosine) * out
-        forearm = normalized(reach * ahead - a * bone)
-        along = np.sum(bone * forearm, axis=1, keepdims=True)
-        bend = np.degrees(np.arccos(np.clip(along[:, 0], -1, 1)))
-        hinge = sign * np.cross(normalized(forearm - along * bone), bone)
-        rest = normalized(upper)
-        shoulders = _basis(bone, hinge) @ _basis(rest, normalized(Y - (Y @ rest) * rest)).T
-        hand = rotation(X, twist_deg) @ rotation(Z, sign * wrist_deg)
-        turns += [
-            quat_from_matrix(frames[:, collar, :3, :3].swapaxes(1, 2) @ shoulders),
-            quat_from_matrix(rotation(Y, -sign * bend) @ rotation(X, twist_deg)),
-            np.tile(quat_from_matrix(hand), (len(frames), 1)),
-        ]
-    return np.stack(turns, axis=1).reshape(len(frames), 2, len(ARM_JOINTS), 4)
-
-
-def _basis(first: Array, second: Array) -> Array:
-    return np.stack([first, second, np.cross(first, second)], axis=-1)

@@ -1,24 +1,23 @@
 """Gestures: movements of the hands of somebody who stands or sits, from a few places that the wrists go to.
 
 A place is relative to the shoulder and in lengths of the arm, so one gesture fits all bodies. The arms follow by closed-form
-inverse kinematics (`h3data.bodies.people.arms.bend_arms`). A gesture repeats until it ends; each movement from place to place
+inverse kinematics (`h3data.bodies.people.kernels.postures`). A gesture repeats until it ends; each movement from place to place
 starts and stops at rest, as the strokes of human gestures do.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.people.arms import ARM_JOINTS, CARRY_JOINTS, bend_arms
-from h3data.bodies.people.kernels.attention import curl_fingers
-from h3data.bodies.people.legs import SIDES, X, rotation
-from h3data.bodies.people.reach import Hand, grasp_point, reach_poses
-from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.bodies.people.arms import CARRY_JOINTS
+from h3data.bodies.people.kernels.postures import gesture_all, lead_all, lean_all
+from h3data.bodies.people.reach import ROOT_OF_BODY, Hand, reacher
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, minimum_jerk, quat_from_matrix, quat_multiply, quat_nlerp
+from h3data.geometry import Array
 
 if TYPE_CHECKING:
     from h3data.bodies.people.humanoid import Humanoid
@@ -88,26 +87,37 @@ GESTURES: dict[str, Gesture] = {
     "knock": Gesture(
         1.2, (None,), ((0.5, -0.05, -0.1), (0.62, 0.0, -0.1), (0.5, -0.05, -0.1), (0.62, 0.0, -0.1)), twist_deg=5.0
     ),
+    "dishes": Gesture(
+        3.2,
+        ((0.62, -0.6, -0.25), (0.62, -0.52, -0.25)),
+        ((0.66, -0.57, -0.28), (0.72, -0.52, -0.16), (0.76, -0.57, -0.28), (0.7, -0.6, -0.36)),
+        20.0,
+        1.06,
+        0.0,
+    ),
 }
 """Gestures by name; most are those of the activities of people who live in a home (`h3data_crowds.routines`)."""
 NAMES = tuple(GESTURES)
+POLE = np.array([-0.35, -0.8, 0.45])
+"""Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
 """Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""
 
 
-def wrists_at(gesture: Gesture, seconds: ArrayLike) -> Array:
-    """Places of both wrists, and whether each is used (0 to 1), at times [T] since a gesture began, [T, 2, 4]."""
-    seconds = np.asarray(seconds, np.float64)
-    out = np.zeros((len(seconds), 2, 4))
-    for side, keys in enumerate((gesture.left, gesture.right)):
-        at = (seconds / gesture.seconds % 1.0) * len(keys)
-        k = np.minimum(at.astype(np.intp), len(keys) - 1)
-        share = minimum_jerk(at - k)[:, None]
-        used = [key for key in keys if key is not None]
-        # a hand that is not used stays at the place of the nearest movement, so that only its weight changes
-        places = np.array([[*(key or (used or [(0.6, -0.5, 0.0)])[0]), float(key is not None)] for key in keys])
-        out[:, side] = (1 - share) * places[k] + share * places[(k + 1) % len(keys)]
-    return out
+def _keys() -> tuple[Array, NDArray[np.int64], Array]:
+    """Places, counts and numbers of all gestures as the kernel takes them."""
+    sides = [side for gesture in GESTURES.values() for side in (gesture.left, gesture.right)]
+    places = np.zeros((len(sides), max(map(len, sides)), 4))
+    for row, side in zip(places, sides, strict=True):
+        # a hand that is not used stays at the first place, so that only its share changes
+        first = next(filter(None, side), (0.6, -0.5, 0.0))
+        row[: len(side)] = [[*(place or first), float(place is not None)] for place in side]
+    numbers = [[g.seconds, np.radians(g.head_deg), g.least_m, np.radians(g.twist_deg)] for g in GESTURES.values()]
+    counts = np.array([len(side) for side in sides]).reshape(-1, 2)
+    return places.reshape(len(counts), 2, -1, 4), counts, np.array(numbers)
+
+
+_KEYS = _keys()
 
 
 def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLike) -> None:
@@ -124,47 +134,21 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
     """
     gestures = np.asarray(gestures, np.float64)
     fits = gestures.shape == (len(quats), 3) and np.isfinite(gestures).all()
-    if not fits or not np.isin(gestures[:, 0], np.arange(len(NAMES))).all():
+    if not fits or ((kinds := gestures[:, 0]) != np.clip(np.floor(kinds), 0, len(NAMES) - 1)).any():
         raise InputError(
             f"Expected the number of a gesture, 0 to {len(NAMES) - 1}, seconds and a weight for {len(quats)} poses, got shape "
             f"{list(gestures.shape)}.",
             code="H3-BODY-180",
         )
-    joints = np.array([[JOINT_INDEX[f"{side}_{name}"] for name in ARM_JOINTS] for side, _, _ in SIDES])
-    lengths = [np.linalg.norm(body.joint_offsets[pair[1:]], axis=1).sum() for pair in joints]
-    # direction of the elbows: back, down and outwards
-    pole = (-0.35, -0.8, 0.45)
-    for number in np.unique(gestures[gestures[:, 2] > 0, 0]).astype(np.intp).tolist():
-        gesture = GESTURES[NAMES[number]]
-        rows = np.flatnonzero((gestures[:, 0] == number) & (gestures[:, 2] > 0))
-        weight = np.clip(gestures[rows, 2], 0.0, 1.0)
-        # parts of the joints in the lowering of the head
-        for name, part in (("neck", 0.45), ("head", 0.55)):
-            lowered = quat_from_matrix(rotation(X, part * gesture.head_deg))
-            turned = np.broadcast_to(quat_multiply(lowered, quats[rows, JOINT_INDEX[name]]), (len(rows), 4))
-            quats[rows, JOINT_INDEX[name]] = quat_nlerp(quats[rows, JOINT_INDEX[name]], turned, weight)
-        frames = body.joint_matrices(np.tile(IDENTITY_POSE, (len(rows), 1)), quats[rows], pelvis[rows])
-        wrists = wrists_at(gesture, gestures[rows, 1])
-        shares = weight[:, None] * wrists[..., 3]
-        wrists[..., 0] *= shares  # a hand is drawn back before it is lowered, not through the edge of a table
-        targets = frames[:, joints[:, 0]][..., :3, 3].copy()
-        for side, (_, sign, _) in enumerate(SIDES):  # in the agent root frame, z points to the right
-            # small bodies raise the hands to the chest at most
-            least = np.minimum(gesture.least_m, targets[:, side, 1] - RAISED * lengths[side])
-            targets[:, side] += lengths[side] * wrists[:, side, :3] * (1.0, 1.0, -sign)
-            targets[:, side, 1] = np.maximum(targets[:, side, 1], least)
-        bent = bend_arms(body.joint_offsets, frames, targets, pole=pole, twist_deg=gesture.twist_deg)
-        for side in range(2):
-            share = np.repeat(shares[:, side], len(ARM_JOINTS))
-            at = np.ix_(rows, joints[side])
-            quats[at] = quat_nlerp(quats[at].reshape(-1, 4), bent[:, side].reshape(-1, 4), share).reshape(-1, 3, 4)
+    left, right = (reacher(body, hand).body for hand in BOTH)
+    gesture_all(left, right, quats, pelvis, gestures, *_KEYS, POLE, RAISED)
 
 
 # --- hands that handle things ----------------------------------------------------------------------------------------------
 BOTH: tuple[Hand, Hand] = ("left", "right")
 """Both hands, in the order of arrays of hands."""
-CURL_RAD = 0.55
-"""Bend of the fingers around what a hand holds."""
+CURL_RAD, HAND_TWIST_RAD = 0.55, 0.1
+"""Bend of the fingers around what a hand holds; twist of its forearm and again of its wrist."""
 ARMS = CARRY_JOINTS[:, 1:]
 """Shoulder, elbow and wrist of the left and the right arm, [2, 3]."""
 
@@ -191,33 +175,40 @@ def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) ->
             f"[{len(quats)}, 4, 4], with shares from 0 to 1, got shape {list(hands.shape)}.",
             code="H3-BODY-182",
         )
-    leans = hands[:, 2:, 3].sum(1)
-    rows = np.flatnonzero(leans > 0)
-    if len(rows):
-        left, right = (reach_poses(body, hands[rows, 2 + k, :3], hand) for k, hand in enumerate(BOTH))
-        share, lean = hands[rows, 3, 3] / leans[rows], np.minimum(leans[rows], 1.0)
-        quats[rows] = blend_quats(quats[rows], blend_quats(left.quats, right.quats, share), lean)
-        place = left.pelvis + share[:, None] * (right.pelvis - left.pelvis)
-        pelvis[rows] += lean[:, None] * (place - pelvis[rows])
-    rows = np.flatnonzero(hands[:, :2, 3].any(1))
-    if not len(rows):
-        return
-    palms, own, here = hands[rows, :2, :3], quats[rows], np.tile(IDENTITY_POSE, (len(rows), 1))
-    frames = body.joint_matrices(here, own, pelvis[rows])
-    grips, wrists = [grasp_point(body, hand) for hand in BOTH], palms.copy()
-    # the wrist is behind the palm by an offset that turns with it
-    for _ in range(5):
-        # the elbows point back, down and outwards
-        own[:, ARMS] = bend_arms(body.joint_offsets, frames, wrists, pole=(-0.35, -0.8, 0.45), twist_deg=6.0)
-        led = body.joint_matrices(here, own, pelvis[rows])[:, ARMS[:, 2], :3, :3]
-        wrists = palms - np.stack([led[:, side] @ grip for side, grip in enumerate(grips)], 1)
-    for side, joints in enumerate(ARMS):
-        at = np.ix_(rows, joints)
-        quats[at] = blend_quats(quats[at], own[:, joints], hands[rows, side, 3])
-    for row in rows.tolist():
-        curl_fingers(quats[row], CURL_RAD * hands[row, :2, 3])
+    left, right = (reacher(body, hand) for hand in BOTH)
+    table = (left.table.values, left.table.low, left.table.step, ROOT_OF_BODY)
+    lean_all(left.body, right.body, *table, quats, pelvis, hands[:, 2:])
+    _lead(body, quats, pelvis, hands[:, :2], 1.0, POLE, HAND_TWIST_RAD, 0.0, CURL_RAD)
 
 
-def blend_quats(one: Array, other: Array, share: Array) -> Array:
-    """Rotations [T, J, 4] blended by shares [T]."""
-    return quat_nlerp(one.reshape(-1, 4), other.reshape(-1, 4), np.repeat(share, one.shape[1])).reshape(one.shape)
+def lead_wrists(
+    body: Humanoid,
+    quats: Array,
+    pelvis: Array,
+    wrists: Array,
+    share: Array,
+    *,
+    pole: Sequence[float],
+    twist_deg: float,
+    wrist_deg: float = 0.0,
+) -> None:
+    """Leads the wrists of poses [T] to places, in place; those out of reach are approached.
+
+    Args:
+        body: Their body.
+        quats: Local rotations [T, 55, 4].
+        pelvis: Places of the pelvis in the agent root frame [T, 3].
+        wrists: Places of the left and the right wrist in that frame [T, 2, 3] [m].
+        share: Shares, 0 to 1, by which the arms are led there [T].
+        pole: Direction of the elbows: ahead, up and outwards.
+        twist_deg: Twist of the forearm and again of the wrist, which turns the palm down.
+        wrist_deg: Extension of the wrist.
+    """
+    hands = np.concatenate([wrists, np.broadcast_to(share[:, None, None], (*wrists.shape[:2], 1))], 2)
+    _lead(body, quats, pelvis, hands, 0.0, np.array(pole), *np.radians([twist_deg, wrist_deg]).tolist(), 0.0)
+
+
+def _lead(body: Humanoid, quats: Array, pelvis: Array, hands: Array, *rest: Any) -> None:
+    """Calls the kernel, whose last arguments are ``rest``."""
+    left, right = (reacher(body, hand).body for hand in BOTH)
+    lead_all(left, right, quats, pelvis, hands, *rest)

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
 from h3data.bodies.people.clips import TO_ROOT
 from h3data.bodies.people.gait import stand_posture
+from h3data.bodies.people.gestures import lead_wrists
+from h3data.bodies.people.kernels.postures import blend_rows
 from h3data.bodies.people.legs import SIDES, Posture, X, rotation, solve_legs
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
@@ -73,7 +74,6 @@ LYING_PARTS = (
 BELLY, LYING_ELBOWS = (-0.055, 0.07, 0.035), (-0.2, -0.25, 1.0)
 """Places of the wrists of somebody who lies from the pelvis, in body heights, and direction of the elbows: ahead, up and
 outwards."""
-_ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,11 +117,7 @@ class Sitting:
         back, down = 1 - (1 - share) ** BACK_FIRST, share**DOWN_LATE
         path = stand.pelvis + np.stack([back * 0, down, back], axis=1) * (pelvis - stand.pelvis)
         mixed, path = _in_root(self.body, Posture(quats=mixed, pelvis=path, ankle=stand.ankle, foot=stand.foot))
-        roots = np.tile(IDENTITY_POSE, (len(share), 1))
-        laid = _hands_on_thighs(self.body, self.body.joint_matrices(roots, mixed, path))
-        early = np.repeat(np.minimum(share / ARMS_BY, 1.0), len(_ARMS))
-        hanging = mixed[:, _ARMS].reshape(-1, 4)
-        mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), smoothstep(early)).reshape(laid.shape)
+        _lay_hands_on_thighs(self.body, mixed, path, smoothstep(np.minimum(share / ARMS_BY, 1.0)))
         return mixed, path
 
     @cached_property
@@ -153,14 +149,10 @@ class Sitting:
         seated, pelvis = (np.repeat(part, TABLE, 0) for part in self.pose(1.0))
         quats = self._laid_out(TUCK_DEG + np.where(np.arange(6) < 3, back, stretched) * (flat - TUCK_DEG))
         quats = quat_nlerp(seated.reshape(-1, 4), quats.reshape(-1, 4), np.repeat(drawn, 55)).reshape(seated.shape)
-        roots = np.tile(IDENTITY_POSE, (TABLE, 1))
-        frames = body.joint_matrices(roots, quats, pelvis)
+        _lay_hands_on_thighs(body, quats, pelvis, np.ones(TABLE))
         belly = pelvis[:, None] + body.height_m * np.array([BELLY, BELLY]) * ((1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
-        laid = bend_arms(body.joint_offsets, frames, belly, pole=LYING_ELBOWS, twist_deg=TWIST_DEG)
-        arms = _hands_on_thighs(body, frames).reshape(-1, 4)
-        arms = quat_nlerp(arms, laid.reshape(-1, 4), np.repeat(arms_by, len(_ARMS)))
-        quats[:, _ARMS] = arms.reshape(TABLE, -1, 4)
-        skin = body.skin(body.joint_matrices(roots, quats, pelvis))
+        lead_wrists(body, quats, pelvis, belly, arms_by[:, 0], pole=LYING_ELBOWS, twist_deg=TWIST_DEG)
+        skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, pelvis))
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
         above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
         hips_of_legs = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
@@ -217,18 +209,17 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
     if not len(rows):
         return
     # by millimetres, because each height has a table of its own, which is cached
-    kinds = np.column_stack([seats[rows, 0].round(3), seats[rows, 1] > 1])
-    for height, lies in np.unique(kinds, axis=0).tolist():
-        own = rows[(kinds == (height, lies)).all(1)]
-        sitting = sitting_on(body, height)
+    heights, lying = seats[rows, 0].round(3), seats[rows, 1] > 1
+    for height, lies in sorted(set(zip(heights.tolist(), lying.tolist(), strict=True))):
+        own, sitting = rows[(heights == height) & (lying == lies)], sitting_on(body, height)
         turns, places = sitting.lying if lies else sitting.table
         at = (seats[own, 1] - lies) * (TABLE - 1)
         low = np.minimum(at.astype(np.intp), TABLE - 2)
-        share = (at - low)[:, None]
-        early = smoothstep(np.minimum(seats[own, 1] / EARLY, 1.0))[:, None]
-        quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
-        place = places[low] + share * (places[low + 1] - places[low])
-        pelvis[own] += early * (place - pelvis[own])
+        share, early = at - low, smoothstep(np.minimum(seats[own, 1] / EARLY, 1.0))
+        there, place = turns[low], places[low] + share[:, None] * (places[low + 1] - places[low])
+        blend_rows(there, np.arange(len(own)), turns[low + 1], share)
+        blend_rows(quats, own, there, early)
+        pelvis[own] += early[:, None] * (place - pelvis[own])
 
 
 @lru_cache(maxsize=256)
@@ -287,9 +278,9 @@ def _in_root(body: Humanoid, posture: Posture) -> tuple[Array, Array]:
     return quats, quat_rotate(TO_ROOT, posture.pelvis)
 
 
-def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:
-    """Rotations [T, 6, 4] of `_ARMS` with the hands on the thighs, for joint frames [T, 55, 4, 4] in the agent root frame."""
-    places, targets = frames[..., :3, 3], []
+def _lay_hands_on_thighs(body: Humanoid, quats: Array, pelvis: Array, share: Array) -> None:
+    """Leads the hands of poses to the thighs by shares [T], in place."""
+    places, targets = body.joint_matrices(IDENTITY_POSE, quats, pelvis)[..., :3, 3], []
     for side, sign, _ in SIDES:
         hip, knee = (JOINT_INDEX[f"{side}_{name}"] for name in ("hip", "knee"))
         thigh = places[:, knee] - places[:, hip]
@@ -298,12 +289,5 @@ def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:
         target[:, 2] -= sign * HAND_OUT_M
         targets.append(target)
     # direction of the elbows: back, down and outwards
-    turns = bend_arms(
-        body.joint_offsets,
-        frames,
-        np.stack(targets, 1),
-        pole=(-0.6, -0.2, 0.55),
-        twist_deg=TWIST_DEG,
-        wrist_deg=WRIST_DEG,
-    )
-    return turns.reshape(-1, len(_ARMS), 4)
+    elbows = (-0.6, -0.2, 0.55)
+    lead_wrists(body, quats, pelvis, np.stack(targets, 1), share, pole=elbows, twist_deg=TWIST_DEG, wrist_deg=WRIST_DEG)

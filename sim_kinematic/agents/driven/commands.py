@@ -80,6 +80,9 @@ class Close:
 class Sit:
     """Walks to the nearest free seat within 3 m and sits down; any other command gets up again."""
 
+    lies: bool = False
+    """True if the person then lies down, on a bed or sofa that is large enough."""
+
 
 Do = Pick | Place | Drop | HandOver | Open | Close | Sit
 
@@ -131,7 +134,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
     if isinstance(do, Open | Close):
         return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
     if isinstance(do, Sit):
-        return Action(SIT)
+        return Action(SIT, command=(do.lies,) if do.lies else ())
     if do is not None:
         raise InputError(f"Expected Pick, Place, Drop, HandOver, Open, Close or Sit, got {do!r}.", code="H3-SIM-001")
     if not hasattr(given, "forward") and np.shape(given) == (2,):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from sim_kinematic.agents.sitting import show_seated
 from sim_kinematic.agents.skills import CONTROL, SIT, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.crowd.errands import Motion
-from sim_kinematic.crowd.seating import SeatPlace, Seats, leave_seat, take_seat
+from sim_kinematic.crowd.seating import SeatPlace, Seats, leave_seat, lying_way, take_seat
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
@@ -103,7 +104,7 @@ class DrivenPerson(PersonActor):
         if skill == CONTROL:
             return ""
         if skill == SIT:
-            return "hand_full" if self.person.held else "" if self._nearest_seat() is not None else "no_seat"
+            return "hand_full" if self.person.held else "" if self._nearest_seat(action) is not None else "no_seat"
         # a place without a point of its own is one at the task's goal, as of other people
         if skill in ("drop", "hand_over") or (skill == "place" and action.command):
             held = self.objects.held(self.number)
@@ -197,7 +198,7 @@ class DrivenPerson(PersonActor):
         if action.skill == "drop":
             return (yield from self._drop(action.target))
         if action.skill == SIT:
-            return (yield from self._sit())
+            return (yield from self._sit(action))
         if action.skill == "hand_over":
             return (yield from self._give(action))
         if action.skill == "place" and action.command:
@@ -211,16 +212,16 @@ class DrivenPerson(PersonActor):
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
         return self._drives and bool(moves or self.seat is not None or self._shares.any() or self._head.any())
 
-    def _nearest_seat(self) -> SeatPlace | None:
+    def _nearest_seat(self, action: Action) -> SeatPlace | None:
         """Return the nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
-        others = () if self.company is None else self.company.actors
         # only people who are driven have this field
-        taken = [other.seat.stand for other in others if getattr(other, "seat", None) is not None]
-        return None if self.seats is None else self.seats.nearest(self.xz, DRIVEN.seat_within_m, taken)
+        others = () if self.company is None else self.company.actors
+        taken = [other.seat.taken for other in others if getattr(other, "seat", None) is not None]
+        return self.seats and self.seats.nearest(self.xz, DRIVEN.seat_within_m, taken, lies=bool(action.command))
 
-    def _sit(self) -> Skill:
-        """Walks before the nearest seat, sits down and remains there; whatever is asked next gets up first."""
-        place = self._nearest_seat()
+    def _sit(self, action: Action) -> Skill:
+        """Walk before the nearest seat, sit or lie down and remains there; whatever is asked next gets up first."""
+        place = self._nearest_seat(action)
         if place is None:
             return SkillResult("failed", "no_seat")
         x, z, heading = place.before.tolist()
@@ -236,18 +237,19 @@ class DrivenPerson(PersonActor):
         self._tables, walk.tables = walk.tables, on_stairs(self.person.body.gait_tables, walk.tables.heights)
         self.seat, self._drives = place, True
         try:
-            motion = take_seat(np.append(self.xz, self.heading), place)
-            for at, share in motion:
+            for at, share in chain(take_seat(np.append(self.xz, self.heading), place), lying_way(place)):
                 self._seated = at, share
                 show_seated(self.person, place, at, share)
                 self._follow()
                 yield
             while True:
-                show_seated(self.person, place, place.stand, 1.0)
+                show_seated(self.person, place, *self._seated)
                 yield
         finally:
             # also where another command closes this generator: getting up begins from wherever they are
-            self._leaving = leave_seat(self._seated[0], place, self._seated[1])
+            at, share = self._seated
+            back = [step for step in lying_way(place)[::-1] if step[1] < share]
+            self._leaving = chain(back, leave_seat(place.stand if back else at, place, min(share, 1.0)))
 
     def _leave_seat(self) -> bool:
         """Make one step of getting up; False: the person stands before the seat."""

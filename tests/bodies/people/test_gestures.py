@@ -5,9 +5,10 @@ import pytest
 
 from benchmarks.gestures import run
 from h3data.bodies import JOINT_INDEX, humanoid_names, load_humanoid
-from h3data.bodies.people.gestures import GESTURES, NAMES, RAISED, add_gestures, wrists_at
+from h3data.bodies.people.gestures import GESTURES, NAMES, RAISED, add_gestures
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
+from tests.bodies.people.test_postures import wrists_at
 
 WRISTS = [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]]
 SHOULDERS = [JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]]

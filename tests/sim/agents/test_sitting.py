@@ -155,3 +155,24 @@ def test_a_recording_of_sitting_verifies() -> None:
     assert seated == 1
     assert recording.agents[1].skill_names[-2] == "sit"
     assert verify(recording).difference is None
+
+
+def test_a_driven_person_lies_down_and_gets_up_again(bed: SeatPlace) -> None:
+    session, person = begun()
+    put_before(person, bed)
+    session.act("person", Sit(lies=True))
+    joints = [person.person.frame().joints]
+    for _ in range(450):
+        session.step()
+        joints.append(person.person.frame().joints)
+    assert person.seat is not None
+    assert person._seated[1] == 2
+    frame = person.person.frame()
+    assert abs(frame.root[1] - person.seat.seat.height_m) < 0.2
+    for _ in range(330):
+        session.act("person", PersonCommand(forward=0.5))
+        session.step()
+        joints.append(person.person.frame().joints)
+    assert person.seat is None
+    assert person.person.frame().root[1] > 0.8
+    assert np.degrees(joint_steps(np.stack(joints)).max()) < 25

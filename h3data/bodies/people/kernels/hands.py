@@ -37,8 +37,8 @@ _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 
 
 @kernel_part()
-def _chest(offsets, quats, pelvis):
-    """Rotation and place of the uppermost joint of the spine."""
+def chest_of(offsets, quats, pelvis):
+    """Rotation and place of the uppermost joint of the spine of a pose."""
     turn, at = row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2])
     for joint in _SPINE:
         at = plus(at, turned(turn, row3(offsets, joint)), 1.0)
@@ -62,7 +62,7 @@ def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, shar
     If ``has_turn``, the palm is turned as ``turn`` [4]. ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4] and
     ``pelvis`` [3] are the pose. With a ``share`` below 1 the arm is between the pose (0) and the target (1).
     """
-    chest, at = _chest(body.offsets, quats, pelvis)
+    chest, at = chest_of(body.offsets, quats, pelvis)
     collar_turn = multiply(chest, row4(quats, body.joints[0]))
     collar_at = plus(at, turned(chest, row3(body.offsets, body.joints[0])), 1.0)
     shoulder = plus(collar_at, turned(collar_turn, row3(body.offsets, body.joints[1])), 1.0)

@@ -313,20 +313,28 @@ def fault(measures):
     return INVALID_POSTURE if bad else REACHED
 
 
+@kernel_part()
+def reach_one(body, table, low, step, target, trunk, arm, root, x, quats, pelvis, measures):
+    """Posture for a target (3) [m] as of `reach_many`, with space for parameters ``x`` [P]. Returns its status."""
+    # the table is for the right hand: the left one looks its mirror image up
+    u = (-body.sign * target[0] / body.scale, target[1] / body.scale, target[2] / body.scale)
+    inside, turn = look_up(table, low, step, u, x), (root[0], root[1], root[2], root[3])
+    pose_for(body, x, target, trunk, arm, quats, pelvis, measures)
+    # after `pose_for`, which judges balance in the body frame
+    put(quats, 0, multiply(turn, row4(quats, 0)))
+    pelvis[0], pelvis[1], pelvis[2] = turned(turn, (pelvis[0], pelvis[1], pelvis[2]))
+    return fault(measures) if inside else OUTSIDE_BOX
+
+
 @kernel(error_model="numpy")
 def reach_many(body, table, low, step, targets, trunk, arm, root, quats, pelvis, measures, status):
     """Postures for ``targets`` [T, 3] [m]: ``quats`` [T, 55, 4], ``pelvis`` [T, 3], ``measures`` [T, M], ``status`` [T].
 
     ``root`` [4] turns the pelvis into the frame that the caller wants; the targets are in the body frame.
     """
-    x, turn = np.empty(PARAMETER_COUNT), (root[0], root[1], root[2], root[3])
+    x = np.empty(PARAMETER_COUNT)
     for t in range(len(targets)):
         target = row3(targets, t)
-        # the table is for the right hand: the left one looks its mirror image up
-        u = (-body.sign * target[0] / body.scale, target[1] / body.scale, target[2] / body.scale)
-        inside = look_up(table, low, step, u, x)
-        pose_for(body, x, target, trunk[t], arm[t], quats[t], pelvis[t], measures[t])
-        # after `pose_for`, which judges balance in the body frame
-        put(quats[t], 0, multiply(turn, row4(quats[t], 0)))
-        pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(turn, row3(pelvis, t))
-        status[t] = fault(measures[t]) if inside else OUTSIDE_BOX
+        status[t] = reach_one(
+            body, table, low, step, target, trunk[t], arm[t], root, x, quats[t], pelvis[t], measures[t]
+        )

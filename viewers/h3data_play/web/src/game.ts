@@ -193,14 +193,17 @@ export class Game {
     else if (wish === "do") this.deeds.open(now.held >= 0 ? now.held : now.next);
     else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
-    else if (wish === "sit") {
-      if (this.hands && this.person) this.net.send({ k: "sit" });
-      else this.hud.toast(say("no_sitting"));
-    }
+    else if (wish === "sit" || wish === "lie" || wish === "wave" || wish === "phone") this.assume(wish);
     else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
       else this.hud.toast(say("nothing_opens"));
     } else if (wish === "act" || wish === "goto") this.handle(now, wish === "goto");
+  }
+
+  private assume(wish: "sit" | "lie" | "wave" | "phone"): void {
+    if (!this.hands || !this.person) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
+    else if (wish === "sit" || wish === "lie") this.net.send({ k: "sit", lies: wish === "lie" });
+    else this.net.send({ k: "gesture", name: wish });
   }
 
   private letGo(wish: "drop" | "give", now: Situation): void {

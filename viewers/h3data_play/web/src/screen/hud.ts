@@ -28,7 +28,7 @@ interface Offers {
 /** What the help lists: keys, and the name of the words that say what they do. */
 const KEYS: [string[], string][] = [
   [["W", "A", "S", "D"], "walk"], [["Shift"], "slow"], [["E"], "act"], [["F"], "goto"], [["O"], "turn"], [["Q"], "drop"],
-  [["G"], "give"], [["C"], "sit"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
+  [["G"], "give"], [["C"], "sit"], [["L"], "lie"], [["X"], "wave"], [["P"], "phone"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
 ];
 /** After so long a live region that was emptied is read again, even where it says the same, ms. */
 const REPEAT_MS = 60;
@@ -59,9 +59,10 @@ export class Hud {
   /** What there is to do in this home. */
   offers({ things, joints, person, robot, places, talk }: Offers): void {
     document.body.toggleAttribute("data-hands", things || joints);
+    const postures = (things || joints) && person;
     const there: Record<string, boolean> = {
-      act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot, sit: (things || joints) && person,
-      use: places, do: places, talk,
+      act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot,
+      sit: postures, lie: postures, wave: postures, phone: postures, use: places, do: places, talk,
     };
     const rows = KEYS.filter(([, name]) => there[name] ?? true);
     $("keys").replaceChildren(
