@@ -527,7 +527,10 @@ class Leaf(NamedTuple):
     """Half sizes of the panel [3]."""
 
     def depth(self, points: Array, root: Array, k: NDArray[np.intp]) -> Array:
-        """Return the depth [T, C] of the deepest of points [T, C, P, 3] in an agent root's frame at angles ``k`` [T]; negative outside."""
+        """Return the depth [T, C] of the deepest of points [T, C, P, 3] in an agent root's frame at angles ``k`` [T].
+
+        It is negative outside the panel.
+        """
         moved = (self.back[k] @ pose_to_matrix(root))[:, None]
         there = np.abs(points @ moved[..., :3, :3].swapaxes(2, 3) + moved[..., None, :3, 3])
         return (self.half - there).min(3).max(2)
