@@ -6,6 +6,7 @@ robot, so the whole track follows from the seed, or from goals that are given.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WalkerSpec
@@ -136,8 +139,9 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
     """
     roomy = path.copy()
     for k in range(1, len(path) - 1):
+        away = aside(free, path[k], clearance_m) - path[k]
         for share in (1.0, 0.5, 0.25):
-            moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
+            moved = path[k] + share * away
             # the corner before has moved already, the one after has not yet
             ends = roomy[k - 1], path[k + 1]
             apart = all(np.hypot(*(moved - end)) >= WAYPOINTS.apart_m for end in ends)
@@ -149,19 +153,26 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
 
 def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
     """A point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
-    here, room = point, float(free.signed_distance(point))
-    while room < clearance_m:
-        away = free.gradient(here)
-        length = float(np.hypot(*away))
+    x, z, step = float(point[0]), float(point[1]), WAYPOINTS.aside_step_m
+    return np.array(free.entries(_aside, free.sdf, free.origin, free.cell_m, x, z, float(clearance_m), step))
+
+
+@kernel(error_model="numpy")
+def _aside(sdf, origin, cell, x, z, clearance, step):
+    room = sample_sdf(sdf, origin, cell, x, z)
+    while room < clearance:
+        gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+        length = math.hypot(gx, gz)
         if length < 1e-6:
             break
-        there = here + away / length * min(WAYPOINTS.aside_step_m, clearance_m - room)
-        wider = float(free.signed_distance(there))
+        far = min(step, clearance - room)
+        there_x, there_z = x + gx / length * far, z + gz / length * far
+        wider = sample_sdf(sdf, origin, cell, there_x, there_z)
         # on a ridge between two things there is no more room, and steps would go to and fro across it
         if wider < room + 1e-3:
             break
-        here, room = there, wider
-    return here
+        x, z, room = there_x, there_z, wider
+    return x, z
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:

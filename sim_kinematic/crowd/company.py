@@ -31,6 +31,8 @@ ONWARD = 0.3
 """Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
+BETWEEN_M = 0.7
+"""Distance from the line between two members of a group within which somebody else parts them [m]."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
@@ -56,7 +58,7 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 
 
 @kernel(error_model="numpy")
-def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
+def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, unparted):
     """Wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)`` for themselves, with the forces of their group.
 
     The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
@@ -74,6 +76,7 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         tau: Time constant of the desired velocity [s].
         in_sight: True if only members count whom the person sees, as others would pull them against a wall, and if members go
             on at least slowly. False repeats recordings of earlier versions.
+        unparted: True if only members count between whom and the person nobody else is. False repeats recordings likewise.
     """
     x, z = places[m, 0], places[m, 1]
     others, cx, cz, rx, rz = 0, 0.0, 0.0, 0.0, 0.0
@@ -81,6 +84,8 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         if j == m or company[j] != company[m]:
             continue
         if in_sight and not sees(sdf, origin, cell, x, z, places[j, 0], places[j, 1]):
+            continue
+        if unparted and _is_between(m, j, company, places):
             continue
         px, pz = places[j, 0] - x, places[j, 1] - z
         distance = max(math.hypot(px, pz), 1e-6)
@@ -106,6 +111,20 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         missing = max(ONWARD - (wx * ox + wz * oz) / (wanted * wanted), 0.0)
         wx, wz = wx + missing * ox, wz + missing * oz
     return wx, wz
+
+
+@kernel(error_model="numpy")
+def _is_between(m, j, company, places):
+    """Returns whether somebody of another or no group is within `BETWEEN_M` of the line between persons ``m`` and ``j``."""
+    lx, lz = places[j, 0] - places[m, 0], places[j, 1] - places[m, 1]
+    for k in range(len(places)):
+        if k < len(company) and company[k] == company[m]:
+            continue
+        px, pz = places[k, 0] - places[m, 0], places[k, 1] - places[m, 1]
+        share = (px * lx + pz * lz) / max(lx * lx + lz * lz, 1e-6)
+        if 0.0 < share < 1.0 and math.hypot(px - share * lx, pz - share * lz) < BETWEEN_M:
+            return True
+    return False
 
 
 def circle_radius(people: int) -> float:

@@ -17,13 +17,15 @@ from h3data.scene import FreeSpace
 from h3data.scene.open import named_scenes, open_free_space
 from h3data_crowds.places import build_plan
 from sim_kinematic.crowd.company import circle_radius, closed_area, standing_circle
-from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import Role, check_groups, read_role
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.tasks.resume import verify
+from tests.sim.crowd.walks import NOBODY, Discs
+from tests.sim.crowd.walks import step as step_among
 
 MODELS: tuple[CrowdModel, ...] = ("orca", "social_force")
 FLOOR = FreeSpace.from_scene(hall(), cache=False)
@@ -41,8 +43,7 @@ def path_to(*goals: tuple[float, float]) -> Guide:
 
 
 def robot_at(x: float, z: float, heading: float = 0.0) -> Discs:
-    here = np.array([[x, z]])
-    return Discs(here, here, np.array([0.25]), np.array([[x, z, heading]]), 1)
+    return Discs(np.array([[x, z]]), np.array([0.25]), np.array([[x, z, heading]]), 1)
 
 
 def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps: int, others: Discs):
@@ -50,7 +51,7 @@ def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps:
     xz, headings = np.array(starts), np.full(len(starts), heading)
     before, track, looks, told = xz.copy(), [xz], [headings], []
     for step in range(steps):
-        (xz, headings), before = crowd.step(xz, headings, before, others, step), xz
+        (xz, headings), before = step_among(crowd, xz, headings, before, others, step), xz
         track.append(xz)
         looks.append(headings)
         told += [(step, *event) for event in crowd.new_events if event[1] != "walks_to"]
@@ -139,7 +140,7 @@ def test_a_walking_group_stays_together_and_abreast(model: CrowdModel, size: int
         FLOOR, [person(speeds[k]) for k in range(size)], [path_to(*goals) for _ in range(size)], model, roles=roles
     )
     starts = [(3.0 - 0.9 * k, 6.0 + 0.3 * k) for k in range(size)]
-    track = walk(crowd, starts, 0.0, 330, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))[0]
+    track = walk(crowd, starts, 0.0, 330, NOBODY)[0]
     while_walking = track[120:300]
     gaps = np.hypot(*(while_walking[:, :, None] - while_walking[:, None]).transpose(3, 0, 1, 2))
     gaps[:, np.eye(size, dtype=bool)] = np.inf
@@ -154,7 +155,7 @@ def test_people_who_talk_stand_in_a_circle_and_face_its_centre(model: CrowdModel
     roles = [Role(group="talk1")] * size
     crowd = Crowd(FLOOR, [person()] * size, [path_to((9.0, 3.0))] * size, model, roles=roles)
     starts = [(3.0 + 1.5 * k, 6.0) for k in range(size)]
-    track, looks, told = walk(crowd, starts, 0.0, 600, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    track, looks, told = walk(crowd, starts, 0.0, 600, NOBODY)
     centre = track[-1].mean(0)
     np.testing.assert_allclose(np.hypot(*(track[-1] - centre).T), circle_radius(size), atol=0.15)
     towards = np.arctan2(-(centre - track[-1])[:, 1], (centre - track[-1])[:, 0])
