@@ -153,8 +153,8 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
 
 def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
     """A point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
-    x, z, step = float(point[0]), float(point[1]), WAYPOINTS.aside_step_m
-    return np.array(free.entries(_aside, free.sdf, free.origin, free.cell_m, x, z, float(clearance_m), step))
+    ends = float(point[0]), float(point[1]), float(clearance_m), WAYPOINTS.aside_step_m
+    return np.array(free.entries(_aside, free.sdf, free.origin, free.cell_m, *ends))
 
 
 @kernel(error_model="numpy")
@@ -165,13 +165,12 @@ def _aside(sdf, origin, cell, x, z, clearance, step):
         length = math.hypot(gx, gz)
         if length < 1e-6:
             break
-        far = min(step, clearance - room)
-        there_x, there_z = x + gx / length * far, z + gz / length * far
-        wider = sample_sdf(sdf, origin, cell, there_x, there_z)
+        gx, gz = gx / length * min(step, clearance - room), gz / length * min(step, clearance - room)
+        wider = sample_sdf(sdf, origin, cell, x + gx, z + gz)
         # on a ridge between two things there is no more room, and steps would go to and fro across it
         if wider < room + 1e-3:
             break
-        x, z, room = there_x, there_z, wider
+        x, z, room = x + gx, z + gz, wider
     return x, z
 
 

@@ -31,8 +31,8 @@ ONWARD = 0.3
 """Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
-BETWEEN_M = 0.7
-"""Distance from the line between two members of a group within which somebody else parts them [m]."""
+BETWEEN_M = 0.3
+"""Somebody who stands between two members of a group makes the way from one to the other longer by less than this [m]."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
@@ -85,10 +85,15 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
             continue
         if in_sight and not sees(sdf, origin, cell, x, z, places[j, 0], places[j, 1]):
             continue
-        if unparted and _is_between(m, j, company, places):
-            continue
         px, pz = places[j, 0] - x, places[j, 1] - z
         distance = max(math.hypot(px, pz), 1e-6)
+        parted = False
+        for k in range(len(places) if unparted else 0):
+            there = math.hypot(places[k, 0] - x, places[k, 1] - z)
+            there += math.hypot(places[k, 0] - places[j, 0], places[k, 1] - places[j, 1])
+            parted |= there < distance + BETWEEN_M and (k >= len(company) or company[k] != company[m])
+        if parted:
+            continue
         others += 1
         cx, cz = cx + px, cz + pz
         if distance < TOO_NEAR_M:
@@ -111,20 +116,6 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
         missing = max(ONWARD - (wx * ox + wz * oz) / (wanted * wanted), 0.0)
         wx, wz = wx + missing * ox, wz + missing * oz
     return wx, wz
-
-
-@kernel(error_model="numpy")
-def _is_between(m, j, company, places):
-    """Returns whether somebody of another or no group is within `BETWEEN_M` of the line between persons ``m`` and ``j``."""
-    lx, lz = places[j, 0] - places[m, 0], places[j, 1] - places[m, 1]
-    for k in range(len(places)):
-        if k < len(company) and company[k] == company[m]:
-            continue
-        px, pz = places[k, 0] - places[m, 0], places[k, 1] - places[m, 1]
-        share = (px * lx + pz * lz) / max(lx * lx + lz * lz, 1e-6)
-        if 0.0 < share < 1.0 and math.hypot(px - share * lx, pz - share * lz) < BETWEEN_M:
-            return True
-    return False
 
 
 def circle_radius(people: int) -> float:

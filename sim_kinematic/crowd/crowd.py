@@ -50,11 +50,6 @@ def _room_on(path: Array, others: Array) -> float:
     return float(np.hypot(*(others - at).T).min()) if len(others) else np.inf
 
 
-def _gaps(centres: Array, places: Array) -> Array:
-    """Return the distance [nx, nz] [m] of each place [nx, nz, 2] to the nearest of others [N, 2]."""
-    return np.hypot(*(centres[..., None, :] - places).transpose(3, 0, 1, 2)).min(-1)
-
-
 def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, float], group: str) -> Guide:
     """Return the guide of a person who goes to a place [2] and stays there, facing the centre of their company."""
     return lambda xz, goal, taken: Errand(
@@ -101,8 +96,9 @@ class Crowd:
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
-        wary = any(role.group or role.reaction != "regular" for role in roles or ())
-        constants = CrowdSpec.of_version(version, wary=wary)
+        constants = CrowdSpec.of_version(
+            version, wary=any(role.group or role.reaction != "regular" for role in roles or ())
+        )
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
@@ -116,8 +112,6 @@ class Crowd:
         """Step until which each person stays where they are, -1: they walk."""
         self.seats = np.zeros((people, 2))
         """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
-        self._backs_out = np.zeros(people, np.bool_)
-        """Who goes to a place out of the way, and from there on with their errand."""
         self._taken: dict[Any, Station] = {} if places is None else places
         self._busy: dict[int, tuple[Station, Motion]] = {}
         """Station and motion of people who are at one, such as those who sit down, sit or get up."""
@@ -164,7 +158,16 @@ class Crowd:
         self.new_events = []
         velocities = (places - before) / STEP_S
         if self._free.entries(
-            who_decides, xz, self._paths, self._counts, self._best, self._traits, self._until, step, STEP_S, ARRIVED_M + 1e-9
+            who_decides,
+            xz,
+            self._paths,
+            self._counts,
+            self._best,
+            self._traits,
+            self._until,
+            step,
+            STEP_S,
+            ARRIVED_M + 1e-9,
         ):
             self._choose_goals(xz, step, places)
         # before the step: whoever differs after it has begun or ended a reaction
@@ -248,12 +251,12 @@ class Crowd:
         stays = self._until >= 0
         arrived = ~stays & (left < ARRIVED_M)
         stuck = ~stays & ((step - self._best[:, 1]) * STEP_S > self._traits[:, 5])
-        for m in np.flatnonzero(self._backs_out & arrived).tolist():
-            path = self._free.path(xz[m], self._errands[m].path[-1])
-            if len(path) > 1:
-                self._go(m, self._errands[m], path, places, step)
-                arrived[m] = stuck[m] = False
-        left[self._backs_out] = np.inf
+        left[self._stays[:, 2] < 0] = np.inf
+        for m in np.flatnonzero(arrived & np.isinf(left)).tolist():
+            # they have backed out, and go on to where they wanted
+            path, self._best[m] = self._free.path(xz[m], self._errands[m].path[-1]), (0.0, step)
+            self._set_path(m, self._way(m, path, places) if len(path) > 1 else self._errands[m].path)
+            arrived[m] = stuck[m] = False
         for m in np.flatnonzero((arrived | stuck & (left < CLOSE_M)) & (self._counts > 1)).tolist():
             errand = self._errands[m]
             if errand.station is not None:
@@ -275,10 +278,8 @@ class Crowd:
         done = stays & (self._until <= step)
         self._until[done], self._stays[done, 2] = -1.0, 0.0
         chooses = arrived | stuck | done | (self._counts < 2)
-        for first in set(self._company[chooses].tolist()) - {-1}:
-            members = self._company == first
-            chooses |= members
-            stuck |= members & stuck[members].any() & (self._version > 3)
+        chooses |= (self._company >= 0) & np.isin(self._company, self._company[chooses])
+        stuck |= (self._version > 3) & (self._company >= 0) & np.isin(self._company, self._company[stuck])
         for m in np.flatnonzero(chooses).tolist():
             self._taken.pop((id(self), m), None)
             if self._company[m] not in (-1, m):
@@ -292,7 +293,10 @@ class Crowd:
                 # people who are stuck turn to where the others are not
                 others = np.delete(xz, m, axis=0)
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
-                self._go(m, chosen, chosen.path, places, step, stuck=stuck.item(m))
+                self._errands[m] = chosen
+                self._set_path(
+                    m, self._way(m, chosen.path, places, stuck=stuck.item(m)) if self._version > 3 else chosen.path
+                )
                 if chosen.station is not None:
                     self._taken[id(self), m] = chosen.station
                 if chosen.refused[0]:
@@ -317,46 +321,34 @@ class Crowd:
         count, ahead = self._counts[m], self._along[m] + np.arange(0.0, length_m, PASSING_M / 4)
         return np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
 
-    def _go(self, m: int, errand: Errand, path: Array, places: Array, step: int, *, stuck: bool = False) -> None:
-        """Let a person walk on a path [K, 2] to the end of an errand, or where that goes around others at ``places`` [N, 2]."""
-        self._errands[m] = errand
-        if self._version > 3:
-            path, self._backs_out[m] = self._way(m, path, places, stuck=stuck)
-            self._stays[m, 2] = -1.0 * self._backs_out[m]
-        self._set_path(m, path)
-        self._best[m] = 0.0, step
+    def _way(self, m: int, path: NDArray[np.float64], places: Array, *, stuck: bool = False) -> NDArray[np.float64]:
+        """Return a path [K, 2] to the end of a given one that goes around people who stay somewhere, by `VERSION` 4.
 
-    def _way(self, m: int, path: Array, places: Array, *, stuck: bool) -> tuple[Array, bool]:
-        """Return a path [K, 2] to the end of a path, and whether it only gets out of the way.
-
-        It goes around people who stay somewhere, and if the person is ``stuck`` around everybody near. Where that is not possible,
-        somebody who is stuck backs out to the nearest place away from all of them and from their paths.
+        If the person is ``stuck``, it goes around everybody near in ``places`` [N, 2], and where that is not possible it leads to
+        the nearest place away from all of them and from their paths; then the person backs out.
         """
-        at, people = places[m], len(self._counts)
-        here = np.full(len(places), stuck) & (np.hypot(*(places - at).T) < FAR_M)
-        here[:people] |= self._until >= 0
+        people, grid, self._stays[m, 2] = len(self._counts), FloorRoutes.of(self._free), 0.0
+        here = stuck & (np.hypot(*(places - places[m]).T) < FAR_M)
         # of their own group only those who go first, and only for who cannot follow them
-        own = (self._company >= 0) & (self._company == self._company[m])
-        here[:people] &= ~own | (stuck & (np.arange(people) < m))
+        others = (self._company < 0) | (self._company != self._company[m]) | stuck & (np.arange(people) < m)
+        here[:people] = (here[:people] | (self._until >= 0)) & others
         here[m] = False
-        others = places[here]
-        if not len(others) or distance_to_path(others, path).min() > PASSING_M:
-            return path, False
-        grid, goal = FloorRoutes.of(self._free), path[-1]
+        if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
+            return path
         for around in AROUND_M:
-            discs = np.column_stack([others, np.full(len(others), around)])
-            found = grid.flood(at, discs, goal=goal).path_to(goal)
+            reached = grid.flood(places[m], np.insert(places[here], 2, around, axis=1))
+            found = reached.path_to(path[-1])
             if found is not None:
-                return found, False
-        if stuck:
-            reached = grid.flood(at, discs)
-            ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
-            away = np.isfinite(reached.distance) & (_gaps(grid.centres, others) > LEAVES_M)
-            for fits in (away & (_gaps(grid.centres, np.concatenate([others, *ways])) > OFF_M), away):
-                found = reached.path_to_nearest(fits)
-                if found is not None:
-                    return found, True
-        return path, False
+                return found
+        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0))]
+        gaps = np.hypot(*(grid.centres[..., None, :] - np.concatenate([places[here], *ways])).transpose(3, 0, 1, 2))
+        away = gaps > np.where(np.arange(gaps.shape[2]) < here.sum(), LEAVES_M, OFF_M)
+        for count in (gaps.shape[2], here.sum()) if stuck else ():
+            found = reached.path_to_nearest(away[..., :count].all(-1))
+            if found is not None:
+                self._stays[m, 2] = -1.0
+                return found
+        return path
 
     def _errands_from(self, m: int, xz: Array, most: int) -> list[Errand]:
         """Return up to ``most`` errands of a person to goals that they have not reached already."""

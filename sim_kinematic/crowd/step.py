@@ -450,8 +450,7 @@ def step_crowd(
             best[m, 0], best[m, 1] = along[m], step
     claim_passages(sdf, origin, cell, places[: len(counts)], paths, counts, lengths, along, claims, step, rules)
     for m in range(len(counts)):
-        if stays[m, 2] < 0.0:
-            claims[m, 0] = 0.0
+        claims[m, 0] = claims[m, 0] if stays[m, 2] >= 0.0 else 0.0
         if stays[m, 2] > 0.0 or (moods[m, 2] > 0.0 and TABLE[int(moods[m, 0]), 8] == 0.0):
             claims[m, 0] = 0.0  # who stands does not go through
             best[m, 1] = step
@@ -489,7 +488,9 @@ def step_crowd(
                 wx, wz = 0.0, 0.0
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
-                wx, wz = keep_company(sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0, unblocked)
+                wx, wz = keep_company(
+                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0, unblocked
+                )
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
         if reaction[0] > 0.0:

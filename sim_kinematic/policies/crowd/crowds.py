@@ -23,10 +23,6 @@ from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
 
 
-OTHERS_M = 0.3
-"""Radius of people who follow another policy [m]."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdMember:
     """Person of a crowd: their model, place, role and next activity."""
@@ -77,7 +73,8 @@ class Moment(NamedTuple):
             discs.append(discs_at(*moments, tuple(base.disc_offsets_m), base.disc_radius_m).reshape(2, len(xz), -1, 3))
         now, was = np.concatenate(discs, axis=2)
         places, before = (np.concatenate([own[:, count:], n[..., :2]], 1) for own, n in ((xz, now), (was_xz, was)))
-        radii = np.concatenate([np.full(xz.shape[1] - count, OTHERS_M), now[0, :, 2]])
+        # 0.3: radius of people who follow another policy [m]
+        radii = np.concatenate([np.full(xz.shape[1] - count, 0.3), now[0, :, 2]])
         robots = np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2)
         return cls(xz, heading, was_xz, was_heading, places, before, radii, robots)
 
@@ -119,7 +116,8 @@ class Crowds:
 
     def _move_all(self, model: CrowdModel) -> None:
         """Move all people who follow one model by one step."""
-        w, members, moment, robots = self._row, self._members[model], self._moment(), len(self._world.state.robots)
+        w, members, moment = self._row, self._members[model], self._moment()
+        robots, all_people = len(self._world.state.robots), len(self._world.state.people)
         if model not in self._crowds:
             # people of one world share home, seed, walker and version, so the first one's stand for all
             people = list(members.values())
@@ -135,10 +133,9 @@ class Crowds:
                 places=self._places,
                 version=people[0].version,
             )
-            own, all_people = [number - robots for number in members], len(self._world.state.people)
             # people of other models and policies are obstacles that move
-            more = [p for p in range(all_people) if p not in own]
-            self._order[model] = np.array([*own, *range(all_people, len(moment.radii)), *more])
+            own, discs = [number - robots for number in members], range(len(moment.radii))
+            self._order[model] = np.array(own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k)))
         crowd, order = self._crowds[model], self._order[model]
         places, headings = crowd.step(
             moment.places[w][order],
@@ -146,12 +143,11 @@ class Crowds:
             moment.heading[w][order[: len(members)] + robots],
             moment.radii[order],
             moment.robots[w],
-            len(moment.radii) - len(self._world.state.people),
+            len(moment.radii) - all_people,
             self._step,
         )
-        own = list(members) if crowd.new_events else []
         self.new_events += [
-            Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
+            Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
             for m, kind, target, detail in crowd.new_events
         ]
         seats = crowd.seats.tolist()
