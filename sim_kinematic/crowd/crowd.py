@@ -31,8 +31,9 @@ of the path before them on which people who stay there make room [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
 AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
-"""Distances from people who stand by which paths go around them: the second where the first leaves no way; least distances of a place
-to which people back out from everybody near, and from their paths; distance within which people are near, and of their paths [m]."""
+"""Distances from people who stand by which paths go around them: the second where the first leaves no way; least distances of a
+place to which people back out from everybody near, and from the paths of those; distance within which people are near, and
+length of these paths [m]."""
 VERSION = 4
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
@@ -324,8 +325,8 @@ class Crowd:
     def _way(self, m: int, path: NDArray[np.float64], places: Array, *, stuck: bool = False) -> NDArray[np.float64]:
         """Return a path [K, 2] to the end of a given one that goes around people who stay somewhere, by `VERSION` 4.
 
-        If the person is ``stuck``, it goes around everybody near in ``places`` [N, 2], and where that is not possible it leads to
-        the nearest place away from all of them and from their paths; then the person backs out.
+        If the person is ``stuck``, it goes around everybody near in ``places`` [N, 2]. Where that is not possible, it leads to
+        the nearest place away from all of them and from their paths: the person backs out.
         """
         people, grid, self._stays[m, 2] = len(self._counts), FloorRoutes.of(self._free), 0.0
         here = stuck & (np.hypot(*(places - places[m]).T) < FAR_M)
@@ -335,16 +336,15 @@ class Crowd:
         here[m] = False
         if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
             return path
-        for around in AROUND_M:
-            reached = grid.flood(places[m], np.insert(places[here], 2, around, axis=1))
-            found = reached.path_to(path[-1])
-            if found is not None:
-                return found
-        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0))]
+        reached = [grid.flood(places[m], np.insert(places[here], 2, around, axis=1)) for around in AROUND_M]
+        around = [found for found in (one.path_to(path[-1]) for one in reached) if found is not None]
+        if around:
+            return around[0]
+        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
         gaps = np.hypot(*(grid.centres[..., None, :] - np.concatenate([places[here], *ways])).transpose(3, 0, 1, 2))
         away = gaps > np.where(np.arange(gaps.shape[2]) < here.sum(), LEAVES_M, OFF_M)
         for count in (gaps.shape[2], here.sum()) if stuck else ():
-            found = reached.path_to_nearest(away[..., :count].all(-1))
+            found = reached[-1].path_to_nearest(away[..., :count].all(-1))
             if found is not None:
                 self._stays[m, 2] = -1.0
                 return found

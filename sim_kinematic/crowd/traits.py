@@ -60,8 +60,8 @@ class CrowdSpec:
     back_mps: float = 0.8
     """Speed of people who go back for others [m/s]."""
     unblocked: bool = False
-    """True if people who should go back go on where nothing of their path is behind them, and if members of a walking group do not
-    pull at each other while somebody else stands between them."""
+    """True if people who should go back walk on where nothing of their path is behind them, and if members of a walking group
+    do not pull at each other while somebody else is between them."""
 
     @classmethod
     def of_version(cls, version: int, *, wary: bool = False) -> CrowdSpec:

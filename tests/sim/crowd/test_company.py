@@ -14,7 +14,7 @@ import h3data
 from benchmarks.people import hall
 from h3data.errors import InputError
 from h3data.scene import FreeSpace
-from h3data.scene.open import named_scenes, open_free_space
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.places import build_plan
 from sim_kinematic.crowd.company import circle_radius, closed_area, standing_circle
 from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel
@@ -190,6 +190,30 @@ def test_a_conversation_in_a_doorway_closes_the_room_behind_it():
     free = FreeSpace.from_scene(build_plan("door"), cache=False)
     assert closed_area(free, np.array([[0.0, -0.5], [0.0, 0.5]])) > 10.0
     assert closed_area(free, np.array([[-2.5, -0.5], [-2.5, 0.5]])) < 0.2
+
+
+def test_who_is_stuck_before_somebody_in_a_doorway_backs_out():
+    free = FreeSpace.from_scene(build_plan("door"), cache=False)
+    away = {}
+    for version in (3, 4):
+        stays: Guide = lambda xz, given, taken: Errand(np.array([xz, [0.0, 0.0]]), np.inf)  # noqa: E731
+        crowd = Crowd(free, [person()] * 2, [path_to((2.5, 0.0)), stays], "orca", version=version)
+        track = walk(crowd, [(-2.0, 0.0), (0.3, 0.0)], 0.0, 360, NOBODY)[0]
+        away[version] = np.hypot(*(track[200:, 0] - track[200:, 1]).T).max()
+    assert away[4] > 1.2 > 1.0 > away[3], "by version 3 they stand before each other for ever"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("home", "seed"), [(0, 106), (0, 112), (3, 113), (5, 108)])
+def test_walking_groups_get_on_where_they_did_not(home: int, seed: int):
+    from benchmarks.people import COMPANY, Walks, describe
+    from benchmarks.people import walk as walk_at_home
+
+    source = named_scenes(f"h3-homes/val#{home}")[0].source
+    scene, free = open_scene(source), open_free_space(source, 0.25, 1.41)
+    partner = ",".join(f"orca+{word}" for word in COMPANY["company"])
+    figures = describe([Walks.of(walk_at_home(scene, free, 4, partner, seed, 3600), scene, free)])
+    assert figures["gridlocks_per_person_hour"][0] == figures["contacts_per_person_hour"][0] == 0
 
 
 def test_recordings_without_a_version_follow_the_first_rules():
