@@ -336,15 +336,19 @@ class Crowd:
         here[m] = False
         if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
             return path
-        reached = [grid.flood(places[m], np.insert(places[here], 2, around, axis=1)) for around in AROUND_M]
-        around = [found for found in (one.path_to(path[-1]) for one in reached) if found is not None]
-        if around:
-            return around[0]
+        for around in AROUND_M:
+            found = grid.flood(places[m], np.insert(places[here], 2, around, axis=1), goal=path[-1]).path_to(path[-1])
+            if found is not None:
+                return found
+        # 5.0: distance along the floor up to which people back out [m]
+        reached = grid.flood(places[m], np.insert(places[here], 2, AROUND_M[-1], axis=1), farthest_m=5.0 * stuck)
         ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
-        gaps = np.hypot(*(grid.centres[..., None, :] - np.concatenate([places[here], *ways])).transpose(3, 0, 1, 2))
-        away = gaps > np.where(np.arange(gaps.shape[2]) < here.sum(), LEAVES_M, OFF_M)
-        for count in (gaps.shape[2], here.sum()) if stuck else ():
-            found = reached[-1].path_to_nearest(away[..., :count].all(-1))
+        fits = np.isfinite(reached.distance)
+        gaps = np.hypot(*(grid.centres[fits][:, None] - np.concatenate([places[here], *ways])).transpose(2, 0, 1))
+        away = gaps > np.where(np.arange(gaps.shape[1]) < here.sum(), LEAVES_M, OFF_M)
+        for count in (gaps.shape[1], here.sum()) if stuck else ():
+            fits[np.isfinite(reached.distance)] = away[:, :count].all(-1)
+            found = reached.path_to_nearest(fits)
             if found is not None:
                 self._stays[m, 2] = -1.0
                 return found
