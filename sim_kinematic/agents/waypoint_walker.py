@@ -6,6 +6,7 @@ robot, so the whole track follows from the seed, or from goals that are given.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WalkerSpec
@@ -150,19 +153,25 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
 
 def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
     """Return a point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
-    here, room = point, float(free.signed_distance(point))
-    while room < clearance_m:
-        away = free.gradient(here)
-        length = float(np.hypot(*away))
+    ends = float(point[0]), float(point[1]), float(clearance_m), WAYPOINTS.aside_step_m
+    return np.array(free.entries(_aside, free.sdf, free.origin, free.cell_m, *ends))
+
+
+@kernel(error_model="numpy")
+def _aside(sdf, origin, cell, x, z, clearance, step):
+    room = sample_sdf(sdf, origin, cell, x, z)
+    while room < clearance:
+        gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+        length = math.hypot(gx, gz)
         if length < 1e-6:
             break
-        there = here + away / length * min(WAYPOINTS.aside_step_m, clearance_m - room)
-        wider = float(free.signed_distance(there))
+        gx, gz = gx / length * min(step, clearance - room), gz / length * min(step, clearance - room)
+        wider = sample_sdf(sdf, origin, cell, x + gx, z + gz)
         # on a ridge between two things there is no more room, and steps would go to and fro across it
         if wider < room + 1e-3:
             break
-        here, room = there, wider
-    return here
+        x, z, room = x + gx, z + gz, wider
+    return x, z
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -31,6 +31,8 @@ ONWARD = 0.3
 """Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
+BETWEEN_M = 0.3
+"""Somebody who stands between two members of a group makes the way from one to the other longer by less than this [m]."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
@@ -56,7 +58,7 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 
 
 @kernel(error_model="numpy")
-def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
+def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, unparted):
     """Wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)`` for themselves, with the forces of their group.
 
     The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
@@ -74,6 +76,7 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
         tau: Time constant of the desired velocity [s].
         in_sight: True if only members count whom the person sees, as others would pull them against a wall, and if members go
             on at least slowly. False repeats recordings of earlier versions.
+        unparted: True if only members count between whom and the person nobody else is. False repeats recordings likewise.
     """
     x, z = places[m, 0], places[m, 1]
     others, cx, cz, rx, rz = 0, 0.0, 0.0, 0.0, 0.0
@@ -84,6 +87,13 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight):
             continue
         px, pz = places[j, 0] - x, places[j, 1] - z
         distance = max(math.hypot(px, pz), 1e-6)
+        parted = False
+        for k in range(len(places) if unparted else 0):
+            there = math.hypot(places[k, 0] - x, places[k, 1] - z)
+            there += math.hypot(places[k, 0] - places[j, 0], places[k, 1] - places[j, 1])
+            parted |= there < distance + BETWEEN_M and (k >= len(company) or company[k] != company[m])
+        if parted:
+            continue
         others += 1
         cx, cz = cx + px, cz + pz
         if distance < TOO_NEAR_M:

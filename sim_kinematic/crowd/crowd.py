@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
+from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path
 from sim_kinematic.crowd.company import PASSING_M, standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide, Motion, Station
 from sim_kinematic.crowd.reactions import REACTIONS
@@ -29,32 +30,18 @@ STUCK_PATHS, AWAY_M, WAY_M = 4, 1.0, 1.5
 of the path before them on which people who stay there make room [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
-VERSION = 3
+AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
+"""Distances from people who stand by which paths go around them: the second where the first leaves no way; least distances of a
+place to which people back out from everybody near, and from the paths of those; distance within which people are near, and
+length of these paths [m]."""
+VERSION = 4
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
 somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
-slowly (`CrowdSpec.of_version`)."""
+slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`)."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""
-
-
-class Discs(NamedTuple):
-    """Agents around a crowd as discs."""
-
-    xz: Array
-    """Centres of the discs now [N, 2] [m]."""
-    before: Array
-    """Centres of the discs one step ago [N, 2] [m]."""
-    radius: Array
-    """Radii of the discs [N] [m]."""
-    robots: Array = np.zeros((0, 3))
-    """Places and headings of robots (x, z, heading) [R, 3]."""
-    of_robots: int = 0
-    """Number of discs that belong to robots; they come first."""
-
-
-NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 def _room_on(path: Array, others: Array) -> float:
@@ -111,7 +98,7 @@ class Crowd:
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
         constants = CrowdSpec.of_version(
-            min(version, 2) if any(role.group or role.reaction != "regular" for role in roles or ()) else version
+            version, wary=any(role.group or role.reaction != "regular" for role in roles or ())
         )
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
@@ -148,35 +135,48 @@ class Crowd:
         """Goal of each person [M, 2] [m]."""
         return self._paths[np.arange(len(self._counts)), np.maximum(self._counts - 1, 0)]
 
-    def step(self, xz: Array, heading: Array, before: Array, others: Discs, step: int) -> tuple[Array, Array]:
+    def step(
+        self, places: Array, before: Array, heading: Array, radii: Array, robots: Array, of_robots: int, step: int
+    ) -> tuple[Array, Array]:
         """Return positions [M, 2] [m] and headings [M] [rad] after one more step.
 
         Args:
-            xz: Positions now [M, 2] [m].
-            heading: Headings now [M] [rad].
-            before: Positions one step ago [M, 2] [m].
-            others: Robots and people who are not of this crowd.
+            places: Positions now of the people, the discs of robots, and people who are not of this crowd [N, 2] [m].
+            before: Their positions one step ago [N, 2] [m].
+            heading: Headings of the people now [M] [rad].
+            radii: Radii of the discs [N] [m]; those of the people are overwritten by their traits.
+            robots: Places and headings of robots (x, z, heading) [R, 3].
+            of_robots: Number of discs of robots.
             step: Number of the step.
         """
-        people = len(xz)
+        people = len(heading)
+        xz, radii[:people] = places[:people], self._traits[:, 3]
         if not self._began:
             self._body[:, 0] = self._body[:, 3] = heading
             self._meet(xz)
             self._began = True
         self._body[:, 0] = heading
         self.new_events = []
-        if who_decides(
-            xz, self._paths, self._counts, self._best, self._traits, self._until, step, STEP_S, ARRIVED_M + 1e-9
+        velocities = (places - before) / STEP_S
+        if self._free.entries(
+            who_decides,
+            xz,
+            self._paths,
+            self._counts,
+            self._best,
+            self._traits,
+            self._until,
+            step,
+            STEP_S,
+            ARRIVED_M + 1e-9,
         ):
-            self._choose_goals(xz, step)
+            self._choose_goals(xz, step, places)
         # before the step: whoever differs after it has begun or ended a reaction
-        reacted = self._moods[:, 2].copy()
-        places = np.concatenate([xz, others.xz])
-        velocities = (places - np.concatenate([before, others.before])) / STEP_S
-        radii = np.concatenate([self._traits[:, 3], others.radius])
+        reacted, places = self._moods[:, 2].copy(), places.copy()
         for m in list(self._busy):
             self._move_busy(m, places, radii, step)
-        step_crowd(
+        self._free.entries(
+            step_crowd,
             *self._grid,
             places,
             velocities,
@@ -193,8 +193,8 @@ class Crowd:
             self._company,
             self._moods,
             self._looks,
-            others.robots,
-            others.of_robots,
+            robots,
+            of_robots,
             self._pace,
             self._traits,
             self._forces,
@@ -203,7 +203,7 @@ class Crowd:
             step,
             STEP_S,
         )
-        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(others.robots) else ():
+        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(robots) else ():
             kind = "reacts" if self._moods[m, 2] else "reaction_over"
             self.new_events.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
@@ -246,12 +246,18 @@ class Crowd:
             for m, place in zip(members, places, strict=True):
                 self._guides[m] = _talking(self._guides[m], np.asarray(place, np.float64), (float(x), float(z)), word)
 
-    def _choose_goals(self, xz: Array, step: int) -> None:
+    def _choose_goals(self, xz: Array, step: int, places: Array) -> None:
         """Give an errand to people who have arrived, are stuck or have stayed long enough, and to their company."""
         left = np.hypot(*(self.goals - xz).T)
         stays = self._until >= 0
         arrived = ~stays & (left < ARRIVED_M)
         stuck = ~stays & ((step - self._best[:, 1]) * STEP_S > self._traits[:, 5])
+        left[self._stays[:, 2] < 0] = np.inf
+        for m in np.flatnonzero(arrived & np.isinf(left)).tolist():
+            # they have backed out, and go on to where they wanted
+            path, self._best[m] = self._free.path(xz[m], self._errands[m].path[-1]), (0.0, step)
+            self._set_path(m, self._way(m, path, places) if len(path) > 1 else self._errands[m].path)
+            arrived[m] = stuck[m] = False
         for m in np.flatnonzero((arrived | stuck & (left < CLOSE_M)) & (self._counts > 1)).tolist():
             errand = self._errands[m]
             if errand.station is not None:
@@ -273,8 +279,8 @@ class Crowd:
         done = stays & (self._until <= step)
         self._until[done], self._stays[done, 2] = -1.0, 0.0
         chooses = arrived | stuck | done | (self._counts < 2)
-        for first in set(self._company[chooses].tolist()) - {-1}:
-            chooses |= self._company == first
+        chooses |= (self._company >= 0) & np.isin(self._company, self._company[chooses])
+        stuck |= (self._version > 3) & (self._company >= 0) & np.isin(self._company, self._company[stuck])
         for m in np.flatnonzero(chooses).tolist():
             self._taken.pop((id(self), m), None)
             if self._company[m] not in (-1, m):
@@ -289,7 +295,9 @@ class Crowd:
                 others = np.delete(xz, m, axis=0)
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
                 self._errands[m] = chosen
-                self._set_path(m, chosen.path)
+                self._set_path(
+                    m, self._way(m, chosen.path, places, stuck=stuck.item(m)) if self._version > 3 else chosen.path
+                )
                 if chosen.station is not None:
                     self._taken[id(self), m] = chosen.station
                 if chosen.refused[0]:
@@ -305,11 +313,46 @@ class Crowd:
         """End the stay of everybody who stands for a time on the path of people who are ``stuck``."""
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
-            count = self._counts[m]
-            ahead = self._along[m] + np.arange(0.0, WAY_M, PASSING_M / 4)
-            way = np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
+            way = self._ahead(m, WAY_M)
             near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
             self._until[standing[near]] = step
+
+    def _ahead(self, m: int, length_m: float) -> Array:
+        """Return places [N, 2] on the path of a person, as far as ``length_m`` ahead of them."""
+        count, ahead = self._counts[m], self._along[m] + np.arange(0.0, length_m, PASSING_M / 4)
+        return np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
+
+    def _way(self, m: int, path: NDArray[np.float64], places: Array, *, stuck: bool = False) -> NDArray[np.float64]:
+        """Return a path [K, 2] to the end of a given one that goes around people who stay somewhere, by `VERSION` 4.
+
+        If the person is ``stuck``, it goes around everybody near in ``places`` [N, 2]. Where that is not possible, it leads to
+        the nearest place away from all of them and from their paths: the person backs out.
+        """
+        people, grid, self._stays[m, 2] = len(self._counts), FloorRoutes.of(self._free), 0.0
+        here = stuck & (np.hypot(*(places - places[m]).T) < FAR_M)
+        # of their own group only those who go first, and only for who cannot follow them
+        others = (self._company < 0) | (self._company != self._company[m]) | stuck & (np.arange(people) < m)
+        here[:people] = (here[:people] | (self._until >= 0)) & others
+        here[m] = False
+        if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
+            return path
+        for around in AROUND_M:
+            found = grid.flood(places[m], np.insert(places[here], 2, around, axis=1), goal=path[-1]).path_to(path[-1])
+            if found is not None:
+                return found
+        # 5.0: distance along the floor up to which people back out [m]
+        reached = grid.flood(places[m], np.insert(places[here], 2, AROUND_M[-1], axis=1), farthest_m=5.0 * stuck)
+        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
+        fits = np.isfinite(reached.distance)
+        gaps = np.hypot(*(grid.centres[fits][:, None] - np.concatenate([places[here], *ways])).transpose(2, 0, 1))
+        away = gaps > np.where(np.arange(gaps.shape[1]) < here.sum(), LEAVES_M, OFF_M)
+        for count in (gaps.shape[1], here.sum()) if stuck else ():
+            fits[np.isfinite(reached.distance)] = away[:, :count].all(-1)
+            found = reached.path_to_nearest(fits)
+            if found is not None:
+                self._stays[m, 2] = -1.0
+                return found
+        return path
 
     def _errands_from(self, m: int, xz: Array, most: int) -> list[Errand]:
         """Return up to ``most`` errands of a person to goals that they have not reached already."""

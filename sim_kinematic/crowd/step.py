@@ -34,8 +34,9 @@ SLIDES = 3
 """Number of attempts to go past others whom a step would touch."""
 SEATED = 3.0
 """Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
-BACK_M = 1.5
-"""Distance that people in a narrow place go back along their path to let others through."""
+BACK_M, START_M = 1.5, 0.1
+"""Distance that people in a narrow place go back along their path to let others through, and distance from its beginning within
+which they cannot [m]."""
 STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
 """Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
 stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
@@ -426,8 +427,8 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
-        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it,
-            `SEATED`: is where ``places`` say [M, 3].
+        stays: Place that a person who stands faces (x, z), and 0: walks, -1: backs out, 1: stands as they come, 2: stands and
+            faces it, `SEATED`: is where ``places`` say [M, 3].
         company: Number of the group with which each person walks, -1: none [M].
         moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].
         looks: Place that each person faces (x, z), and 1 if there is one [M, 3].
@@ -441,7 +442,7 @@ def step_crowd(
         step: Number of the step.
         dt: Duration of a step [s].
     """
-    decel = limits[1]
+    decel, unblocked = limits[1], rules[22] > 0.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
@@ -449,6 +450,7 @@ def step_crowd(
             best[m, 0], best[m, 1] = along[m], step
     claim_passages(sdf, origin, cell, places[: len(counts)], paths, counts, lengths, along, claims, step, rules)
     for m in range(len(counts)):
+        claims[m, 0] = claims[m, 0] if stays[m, 2] >= 0.0 else 0.0
         if stays[m, 2] > 0.0 or (moods[m, 2] > 0.0 and TABLE[int(moods[m, 0]), 8] == 0.0):
             claims[m, 0] = 0.0  # who stands does not go through
             best[m, 1] = step
@@ -463,7 +465,8 @@ def step_crowd(
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         x, z, most = places[m, 0], places[m, 1], traits[m, 0]
         j = firsts[m]
-        if j >= 0:
+        # with nothing of the path behind them they cannot go back
+        if j >= 0 and not (unblocked and claims[m, 5] > 0.0 and along[m] < START_M):
             wx, wz = yield_velocity(
                 sdf,
                 origin,
@@ -485,7 +488,9 @@ def step_crowd(
                 wx, wz = 0.0, 0.0
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
-                wx, wz = keep_company(sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0)
+                wx, wz = keep_company(
+                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0, unblocked
+                )
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
         if reaction[0] > 0.0:

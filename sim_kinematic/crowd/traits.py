@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,13 +59,18 @@ class CrowdSpec:
     """Speed of people who step aside for others [m/s]."""
     back_mps: float = 0.8
     """Speed of people who go back for others [m/s]."""
+    unblocked: bool = False
+    """True if people who should go back walk on where nothing of their path is behind them, and if members of a walking group
+    do not pull at each other while somebody else is between them."""
 
     @classmethod
-    def of_version(cls, version: int) -> CrowdSpec:
-        """Return the constants of a version of the rules (`sim_kinematic.crowd.crowd.VERSION`)."""
-        if version > 2:
-            return cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1)
-        return cls(company_in_sight=version > 1)
+    def of_version(cls, version: int, *, wary: bool = False) -> CrowdSpec:
+        """Return the constants of a version of the rules (`sim_kinematic.crowd.crowd.VERSION`).
+
+        People who are ``wary`` keep the horizons and speeds of version 2.
+        """
+        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1)
+        return replace(cls() if wary or version < 3 else quick, company_in_sight=version > 1, unblocked=version > 3)
 
     @property
     def numbers(self) -> Array:

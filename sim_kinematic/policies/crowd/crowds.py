@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
 from h3data.scene import FreeSpace
 from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel
 from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.traits import Traits
@@ -51,8 +52,12 @@ class Moment(NamedTuple):
     """Positions one step ago [W, A, 2] [m]."""
     was_heading: Array
     """Headings one step ago [W, A] [rad]."""
-    discs: tuple[Array, Array, Array]
-    """Discs of all robots: centres now and one step ago [W, D, 2], and radii [D] [m]."""
+    places: Array
+    """Places of all people, then of the discs of all robots, now [W, P + D, 2] [m]."""
+    before: Array
+    """The same one step ago."""
+    radii: Array
+    """Radii of these discs, and of people who follow another policy than that of a crowd [P + D] [m]."""
     robots: Array
     """Places and headings of robots (x, z, heading) [W, R, 3]."""
 
@@ -67,9 +72,11 @@ class Moment(NamedTuple):
             moments = np.concatenate([xz[:, k], was_xz[:, k]]), np.concatenate([heading[:, k], was_heading[:, k]])
             discs.append(discs_at(*moments, tuple(base.disc_offsets_m), base.disc_radius_m).reshape(2, len(xz), -1, 3))
         now, was = np.concatenate(discs, axis=2)
-        around = np.ascontiguousarray(now[..., :2]), np.ascontiguousarray(was[..., :2]), now[0, :, 2].copy()
+        places, before = (np.concatenate([own[:, count:], n[..., :2]], 1) for own, n in ((xz, now), (was_xz, was)))
+        # 0.3: radius of people who follow another policy [m]
+        radii = np.concatenate([np.full(xz.shape[1] - count, 0.3), now[0, :, 2]])
         robots = np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2)
-        return cls(xz, heading, was_xz, was_heading, around, robots)
+        return cls(xz, heading, was_xz, was_heading, places, before, radii, robots)
 
 
 class Crowds:
@@ -83,6 +90,8 @@ class Crowds:
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
+        self._order: dict[CrowdModel, NDArray[np.intp]] = {}
+        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others."""
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
         """Stations that people have."""
@@ -107,7 +116,8 @@ class Crowds:
 
     def _move_all(self, model: CrowdModel) -> None:
         """Move all people who follow one model by one step."""
-        w, members = self._row, self._members[model]
+        w, members, moment = self._row, self._members[model], self._moment()
+        robots, all_people = len(self._world.state.robots), len(self._world.state.people)
         if model not in self._crowds:
             # people of one world share home, seed, walker and version, so the first one's stand for all
             people = list(members.values())
@@ -123,26 +133,24 @@ class Crowds:
                 places=self._places,
                 version=people[0].version,
             )
-        moment, own = self._moment(), list(members)
-        xz, heading, was_xz = moment.xz[w], moment.heading[w], moment.was_xz[w]
-        now, was, radius = moment.discs
-        others = Discs(now[w], was[w], radius, robots=moment.robots[w], of_robots=len(radius))
-        robots = len(self._world.state.robots)
-        if len(own) < len(self._world.state.people):
             # people of other models and policies are obstacles that move
-            # 0.3: radius of people who follow another policy [m]
-            more = [k for k in range(robots, len(xz)) if k not in members]
-            around = np.concatenate([others.xz, xz[more]]), np.concatenate([others.before, was_xz[more]])
-            others = others._replace(
-                xz=around[0], before=around[1], radius=np.concatenate([others.radius, np.full(len(more), 0.3)])
-            )
-        xz, heading, was_xz = xz[own], heading[own], was_xz[own]
-        places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
+            own, discs = [number - robots for number in members], range(len(moment.radii))
+            self._order[model] = np.array(own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k)))
+        crowd, order = self._crowds[model], self._order[model]
+        places, headings = crowd.step(
+            moment.places[w][order],
+            moment.before[w][order],
+            moment.heading[w][order[: len(members)] + robots],
+            moment.radii[order],
+            moment.robots[w],
+            len(moment.radii) - all_people,
+            self._step,
+        )
         self.new_events += [
-            Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
-            for m, kind, target, detail in self._crowds[model].new_events
+            Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
+            for m, kind, target, detail in crowd.new_events
         ]
-        seats = self._crowds[model].seats.tolist()
+        seats = crowd.seats.tolist()
         for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
             self._moved[number] = PoseAction(place, angle, (height, share))
             if (work := members[number].hands) is not None:

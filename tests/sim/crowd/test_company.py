@@ -14,16 +14,18 @@ import h3data
 from benchmarks.people import hall
 from h3data.errors import InputError
 from h3data.scene import FreeSpace
-from h3data.scene.open import named_scenes, open_free_space
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.places import build_plan
 from sim_kinematic.crowd.company import circle_radius, closed_area, standing_circle
-from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import Role, check_groups, read_role
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.tasks.resume import verify
+from tests.sim.crowd.walks import NOBODY, Discs
+from tests.sim.crowd.walks import step as step_among
 
 MODELS: tuple[CrowdModel, ...] = ("orca", "social_force")
 FLOOR = FreeSpace.from_scene(hall(), cache=False)
@@ -41,8 +43,7 @@ def path_to(*goals: tuple[float, float]) -> Guide:
 
 
 def robot_at(x: float, z: float, heading: float = 0.0) -> Discs:
-    here = np.array([[x, z]])
-    return Discs(here, here, np.array([0.25]), np.array([[x, z, heading]]), 1)
+    return Discs(np.array([[x, z]]), np.array([0.25]), np.array([[x, z, heading]]), 1)
 
 
 def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps: int, others: Discs):
@@ -50,7 +51,7 @@ def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps:
     xz, headings = np.array(starts), np.full(len(starts), heading)
     before, track, looks, told = xz.copy(), [xz], [headings], []
     for step in range(steps):
-        (xz, headings), before = crowd.step(xz, headings, before, others, step), xz
+        (xz, headings), before = step_among(crowd, xz, headings, before, others, step), xz
         track.append(xz)
         looks.append(headings)
         told += [(step, *event) for event in crowd.new_events if event[1] != "walks_to"]
@@ -139,7 +140,7 @@ def test_a_walking_group_stays_together_and_abreast(model: CrowdModel, size: int
         FLOOR, [person(speeds[k]) for k in range(size)], [path_to(*goals) for _ in range(size)], model, roles=roles
     )
     starts = [(3.0 - 0.9 * k, 6.0 + 0.3 * k) for k in range(size)]
-    track = walk(crowd, starts, 0.0, 330, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))[0]
+    track = walk(crowd, starts, 0.0, 330, NOBODY)[0]
     while_walking = track[120:300]
     gaps = np.hypot(*(while_walking[:, :, None] - while_walking[:, None]).transpose(3, 0, 1, 2))
     gaps[:, np.eye(size, dtype=bool)] = np.inf
@@ -154,7 +155,7 @@ def test_people_who_talk_stand_in_a_circle_and_face_its_centre(model: CrowdModel
     roles = [Role(group="talk1")] * size
     crowd = Crowd(FLOOR, [person()] * size, [path_to((9.0, 3.0))] * size, model, roles=roles)
     starts = [(3.0 + 1.5 * k, 6.0) for k in range(size)]
-    track, looks, told = walk(crowd, starts, 0.0, 600, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    track, looks, told = walk(crowd, starts, 0.0, 600, NOBODY)
     centre = track[-1].mean(0)
     np.testing.assert_allclose(np.hypot(*(track[-1] - centre).T), circle_radius(size), atol=0.15)
     towards = np.arctan2(-(centre - track[-1])[:, 1], (centre - track[-1])[:, 0])
@@ -189,6 +190,30 @@ def test_a_conversation_in_a_doorway_closes_the_room_behind_it():
     free = FreeSpace.from_scene(build_plan("door"), cache=False)
     assert closed_area(free, np.array([[0.0, -0.5], [0.0, 0.5]])) > 10.0
     assert closed_area(free, np.array([[-2.5, -0.5], [-2.5, 0.5]])) < 0.2
+
+
+def test_who_is_stuck_before_somebody_in_a_doorway_backs_out():
+    free = FreeSpace.from_scene(build_plan("door"), cache=False)
+    away = {}
+    for version in (3, 4):
+        stays: Guide = lambda xz, given, taken: Errand(np.array([xz, [0.0, 0.0]]), np.inf)  # noqa: E731
+        crowd = Crowd(free, [person()] * 2, [path_to((2.5, 0.0)), stays], "orca", version=version)
+        track = walk(crowd, [(-2.0, 0.0), (0.3, 0.0)], 0.0, 360, NOBODY)[0]
+        away[version] = np.hypot(*(track[200:, 0] - track[200:, 1]).T).max()
+    assert away[4] > 1.2 > 1.0 > away[3], "by version 3 they stand before each other for ever"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("home", "seed"), [(0, 106), (0, 112), (3, 113), (5, 108)])
+def test_walking_groups_get_on_where_they_did_not(home: int, seed: int):
+    from benchmarks.people import COMPANY, Walks, describe
+    from benchmarks.people import walk as walk_at_home
+
+    source = named_scenes(f"h3-homes/val#{home}")[0].source
+    scene, free = open_scene(source), open_free_space(source, 0.25, 1.41)
+    partner = ",".join(f"orca+{word}" for word in COMPANY["company"])
+    figures = describe([Walks.of(walk_at_home(scene, free, 4, partner, seed, 3600), scene, free)])
+    assert figures["gridlocks_per_person_hour"][0] == figures["contacts_per_person_hour"][0] == 0
 
 
 def test_recordings_without_a_version_follow_the_first_rules():

@@ -10,10 +10,12 @@ from benchmarks.people import hall
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.crowd import Crowd, CrowdModel
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.tasks.resume import verify
+from tests.sim.crowd.walks import NOBODY, Discs
+from tests.sim.crowd.walks import step as step_among
 
 MODELS: tuple[CrowdModel, ...] = ("orca", "social_force")
 
@@ -31,12 +33,12 @@ def path_to(goal: tuple[float, float]) -> Guide:
     return lambda xz, given, taken: Errand(np.array([xz, goal if given is None else given]))
 
 
-def walk(crowd: Crowd, starts: list[tuple[float, float]], headings: list[float], steps: int, others: Discs = NO_DISCS):
+def walk(crowd: Crowd, starts: list[tuple[float, float]], headings: list[float], steps: int, others: Discs = NOBODY):
     """Positions [steps + 1, M, 2]."""
     xz, heading = np.array(starts), np.array(headings)
     before, track = xz.copy(), [xz]
     for step in range(steps):
-        (xz, heading), before = crowd.step(xz, heading, before, others, step), xz
+        (xz, heading), before = step_among(crowd, xz, heading, before, others, step), xz
         track.append(xz)
     return np.array(track)
 
@@ -71,7 +73,7 @@ def test_nobody_gets_into_anybody_even_in_a_circle(floor: FreeSpace, model: Crow
 
 @pytest.mark.parametrize("model", MODELS)
 def test_people_walk_round_a_robot_that_stands_still(floor: FreeSpace, model: CrowdModel):
-    robot = Discs(np.array([[9.0, 6.0]]), np.array([[9.0, 6.0]]), np.array([0.25]))
+    robot = Discs(np.array([[9.0, 6.0]]), np.array([0.25]))
     crowd = Crowd(floor, [person()], [path_to((15.0, 6.0))], model)
     track = walk(crowd, [(3.0, 6.0)], [0.0], 400, robot)
     assert np.hypot(*(track[:, 0] - [9.0, 6.0]).T).min() >= 0.59 - 1e-9

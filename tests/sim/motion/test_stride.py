@@ -18,7 +18,7 @@ from h3data.metrics.paper.protocol import SOCIAL_NAV_PROTOCOL, protocol_deviatio
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
-from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
+from sim_kinematic.agents.waypoint_walker import WAYPOINTS, WaypointHuman, aside, walking_path
 from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, StrideSpec, WalkerSpec
 from sim_kinematic.motion.stride import SHOULDER_M, Strider
 from sim_kinematic.tasks.resume import verify
@@ -185,6 +185,24 @@ def test_the_way_ahead_is_the_one_walked_step_by_step(seed: int) -> None:
     for row in track:
         xz, heading = now.step(xz, heading)
         np.testing.assert_array_equal([*xz, heading], row)
+
+
+def test_points_are_moved_aside_to_the_bits_of_the_formula() -> None:
+    free = floor("small:0")
+    for point in free.sample(np.random.default_rng(3), 60):
+        for clearance in (0.3, 0.5):
+            here, room = point, float(free.signed_distance(point))
+            while room < clearance:
+                away = free.gradient(here)
+                length = float(np.hypot(*away))
+                if length < 1e-6:
+                    break
+                there = here + away / length * min(WAYPOINTS.aside_step_m, clearance - room)
+                wider = float(free.signed_distance(there))
+                if wider < room + 1e-3:
+                    break
+                here, room = there, wider
+            assert aside(free, point, clearance).tobytes() == here.tobytes()
 
 
 def test_who_waits_brakes_and_goes_on() -> None:
