@@ -27,7 +27,7 @@ from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, WorldRollout
-from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, describe, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
     Difference,
@@ -100,7 +100,8 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     """Play an episode with the robots' recorded decisions, and compare the outcome with the recording as `verify` does.
 
     Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
-    decide as their policy does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.
+    decide as their policy does. The names of bodies and the results that the task adds at the end (`EpisodeCodec.final_info`)
+    are compared too.
 
     Args:
         recording: The recording to check.
@@ -132,6 +133,11 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     found = compared(recording, played.columns, played.ended)
     if not found.equal:
         return found
+    # with what people bring along, which no description of the episode has
+    bodies = [body.name for body in describe(task, episode, own, things=played.play.things).bodies]
+    if (recorded_bodies := [body.name for body in recording.bodies]) != bodies:
+        wrong = Difference(step=steps, column="bodies", recorded=repr(recorded_bodies), simulated=repr(bodies))
+        return Verification(steps=steps, difference=wrong)
     # through JSON, as the recorded info has been: tuples are lists there
     results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
     for name, value in results.items():

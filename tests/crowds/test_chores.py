@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,14 @@ from h3data_crowds.routines import Stop
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_pipelines.benchmark.verification import _other_facts as other_facts
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
-from sim_kinematic.tasks.resume import counterfactual, resume, verify
+from sim_kinematic.tasks.resume import _restored as restored
+from sim_kinematic.tasks.resume import counterfactual, resume, verify, verify_episode
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
 
@@ -57,6 +60,16 @@ def test_chores_are_simulated_again_bit_for_bit(acted: h3data.Recording, tmp_pat
     write_mcap(acted, tmp_path / "acted.mcap")
     again = read_mcap(tmp_path / "acted.mcap")
     np.testing.assert_array_equal(again.columns["agent_0.motion_hands"], acted.columns["agent_0.motion_hands"])
+
+
+def test_a_benchmark_expects_what_people_bring_along_and_nothing_else(acted: h3data.Recording) -> None:
+    task, episode = restored(acted)
+    assert "bodies" not in other_facts(acted, task, episode)
+    assert verify_episode(acted, task, episode, f"{__name__}:resident").difference is None
+    more = replace(acted, bodies=(*acted.bodies, replace(acted.bodies[0], name="one_more")))
+    difference = verify_episode(more, task, episode, f"{__name__}:resident").difference
+    assert difference is not None
+    assert difference.column == "bodies"
 
 
 def test_people_without_chores_have_no_columns_of_them() -> None:

@@ -307,7 +307,6 @@ def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str
     who = {*POLICY_ENTRIES, "human_goals"}
     other = [name for name, value in info.items() if name not in who and recording.episode.info.get(name) != value]
     other += [] if recording.episode.seed == header.episode.seed else ["seed"]
-    other += [] if [b.name for b in recording.bodies] == [b.name for b in header.bodies] else ["bodies"]
     other += [] if recording.agents == header.agents else ["agents"]
     files = [name for name, file in header.attachments.items() if recording.attachments.get(name) != file]
     return other + files
