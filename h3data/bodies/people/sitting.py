@@ -251,8 +251,8 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         flat = legs.thigh**2 - drop**2 - (abs(hips[0]) - abs(ankle[0])) ** 2
         if not (np.isfinite(drop) and abs(drop) <= STEEPEST * legs.thigh):
             raise InputError(
-                f"{body.name} cannot sit with the feet on the floor on a seat at {seat_m:.2f} m. Expected about "
-                f"{knee_y - 0.2:.2f} to {knee_y + 0.15:.2f} m.",
+                f"{body.name} cannot sit with the feet on the floor on a seat at {seat_m:.2f} m. Expected a "
+                f"{'lower' if drop > 0 else 'higher'} seat.",
                 code="H3-BODY-178",
             )
         pelvis[2] = ankle[2] + knee_ahead_m - np.sqrt(flat) - hips[2]
