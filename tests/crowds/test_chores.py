@@ -36,6 +36,7 @@ from sim_kinematic.tasks.resume import _restored as restored
 from sim_kinematic.tasks.resume import counterfactual, resume, verify, verify_episode
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
+from tests.crowds.acting import chores_at
 
 HOME = "medium-open:3"
 STOPS = Stop("fridge_0", "take", 12.5), Stop("kitchen_counter_0", "put", 9.0), Stop("dining_table_0", "lift", 8.5)
@@ -43,9 +44,7 @@ STOPS = Stop("fridge_0", "take", 12.5), Stop("kitchen_counter_0", "put", 9.0), S
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """A person who does chores."""
-    body, start = episode.roster[number].body, episode.starts[number, :2]
-    routine = ChoreRoutine(episode.scene, episode.free, STOPS, body, start=start)
-    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+    return chores_at(STOPS, episode, number)
 
 
 @pytest.fixture(scope="module")
@@ -183,9 +182,7 @@ def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None
 
 def knocker(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """A person who knocks at the front door."""
-    body, start = episode.roster[number].body, episode.starts[number, :2]
-    routine = ChoreRoutine(episode.scene, episode.free, [Stop("front_door", "knock", 5.0)], body, start=start)
-    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+    return chores_at([Stop("front_door", "knock", 5.0)], episode, number)
 
 
 @pytest.mark.slow

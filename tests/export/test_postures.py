@@ -13,13 +13,13 @@ from h3data.bodies import Humanoid
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
-from h3data_crowds.chores import ChoreRoutine
 from h3data_crowds.routines import Stop
 from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from tests.crowds.acting import chores_at
 from tests.export.test_exporters import Played
 
 HOME = "medium-open:3"
@@ -29,9 +29,7 @@ WRISTS = ("left_wrist", "right_wrist")
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """A person who takes something, puts it down and lies down."""
-    body, start = episode.roster[number].body, episode.starts[number, :2]
-    routine = ChoreRoutine(episode.scene, episode.free, STOPS, body, start=start)
-    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+    return chores_at(STOPS, episode, number)
 
 
 @pytest.fixture(scope="module")
