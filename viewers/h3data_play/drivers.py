@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from h3data.bodies.people.gestures import ARMS, GESTURES
-from h3data.bodies.people.gestures import Gesture as GestureKeys
+from h3data.bodies.people.gestures import GESTURES, NAMES, add_gestures
+from h3data.bodies.people.reach import hand_points
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, minimum_jerk
+from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat
 from h3data.scene import FreeSpace
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
@@ -388,22 +388,18 @@ class PersonDriver(SkillDriver):
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
             self.gestured += 1
+            right = right or HandTarget(tuple(self.reach_of(seconds).tolist()))
+            head = head or (0.0, float(np.radians(gesture.head_deg)))
             if self.gesture == "wave" and seconds >= WAVES * gesture.seconds:
                 self.gesture = ""
-            right = right or HandTarget(tuple(self.reach_of(gesture, seconds).tolist()))
-            head = head or (0.0, float(np.radians(gesture.head_deg)))
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
-    def reach_of(self, gesture: GestureKeys, seconds: float) -> Array:
-        """Place of the right palm [3] in the person's root frame during a gesture."""
+    def reach_of(self, seconds: float) -> Array:
+        """Place of the right palm [3] in the person's root frame during the gesture: where somebody who stands has it."""
         body = self.body.person.body
-        standing = body.joint_matrices(IDENTITY_POSE, *body.clip_pose([0], [0.0]))[0]
-        shoulder, elbow, wrist = ARMS[1]
-        arm = float(np.linalg.norm(body.joint_offsets[[elbow, wrist]], axis=1).sum())
-        at = seconds / gesture.seconds % 1.0 * len(gesture.right)
-        k = int(at)
-        here, there = (np.array(gesture.right[n % len(gesture.right)], np.float64) for n in (k, k + 1))
-        return standing[shoulder, :3, 3] + arm * (here + minimum_jerk(at - k) * (there - here))
+        quats, pelvis = (np.array(part) for part in body.clip_pose([0], [0.0]))
+        add_gestures(body, quats, pelvis, [[NAMES.index(self.gesture), seconds, 1.0]])
+        return hand_points(body.joint_matrices(IDENTITY_POSE, quats, pelvis), body)[0]
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
