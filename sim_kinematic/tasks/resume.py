@@ -19,6 +19,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
+from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import JOINTS
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
@@ -27,7 +28,7 @@ from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, WorldRollout
-from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, describe, finished
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
     Difference,
@@ -134,7 +135,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     if not found.equal:
         return found
     # with what people bring along, which no description of the episode has
-    bodies = [body.name for body in describe(task, episode, own, things=played.play.things).bodies]
+    bodies = [body.name for body in (*scene_records(episode.scene)[1], *played.play.things)]
     if (recorded_bodies := [body.name for body in recording.bodies]) != bodies:
         wrong = Difference(step=steps, column="bodies", recorded=repr(recorded_bodies), simulated=repr(bodies))
         return Verification(steps=steps, difference=wrong)
