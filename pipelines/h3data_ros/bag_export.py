@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot
-from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.errors import H3DataError, InputError
 from h3data.files import path_inside, size_text
 from h3data.formats import BagStorage, Exported, ExportRequest
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
 
 MAP, PERSON, THING = "map", "person_", "object_"
-BODY_JOINTS = 22
+TRACKED_JOINTS = JOINT_INDEX["jaw"]
 """Joints of people whose frames are written: those of the body, without face and fingers."""
 FILES = "h3data"
 """Folder in the bag with the files of the recording, above all its scene."""
@@ -547,8 +547,8 @@ class _Export:
             assert replay is not None
             for start in range(0, len(self._times), BLOCK):
                 rows = np.arange(start, min(start + BLOCK, len(self._times)))
-                frames = replay.joint_matrices(person.number, rows)[:, :BODY_JOINTS].astype(np.float64)
-                for k, name in enumerate(JOINT_NAMES[:BODY_JOINTS]):
+                frames = replay.joint_matrices(person.number, rows)[:, :TRACKED_JOINTS].astype(np.float64)
+                for k, name in enumerate(JOINT_NAMES[:TRACKED_JOINTS]):
                     poses = found.setdefault(f"{name}_{person.name}", np.full((len(self._times), 7), np.nan))
                     there = np.isfinite(frames[:, k]).all((1, 2))
                     poses[rows[there]] = pose_to_ros(pose_from_matrix(frames[there, k]))
