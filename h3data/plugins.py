@@ -110,7 +110,7 @@ def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
 
 @contextmanager
 def _installed_modules_only() -> Iterator[None]:
-    """Import find nothing in the working directory."""
+    """Let imports find nothing in the working directory."""
     kept = list(sys.path)
     sys.path[:] = [folder for folder in kept if not _is_working_directory(folder)]
     try:
@@ -136,7 +136,7 @@ class Plugin:
     """True if the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
 
     def load(self) -> Any:
-        """Return the object itself; raises whatever importing its module raises."""
+        """Return the object itself; raise whatever importing its module raises."""
         if not isinstance(self.value, str):
             return self.value
         if (
@@ -205,7 +205,7 @@ def _without(what: str, package: str) -> InputError:
 
 
 def load_reference(reference: str) -> Any:
-    """Return the object that ``module:name`` refers to; raises whatever importing its module raises."""
+    """Return the object that ``module:name`` refers to; raise whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
 
 
@@ -280,7 +280,7 @@ class Registry(Generic[T]):
         return tuple(entry.name for entry in self.entries())
 
     def entries(self) -> tuple[Plugin, ...]:
-        """Return all entries without importing them; warns about third-party entries whose names are already taken."""
+        """Return all entries without importing them; warn about third-party entries whose names are already taken."""
         third_party = self._third_party()
         for name, claims in third_party.items():
             if name in self._built_in or len(claims) > 1:
@@ -330,7 +330,7 @@ class Registry(Generic[T]):
         }
 
     def load_all(self) -> dict[str, T]:
-        """Return every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
+        """Return every object by name; warn about plug-ins that cannot be loaded and leave them out."""
         loaded: dict[str, T] = {}
         for name in self._built_in:
             with suppress(InputError) if name in self._own else nullcontext():  # a package that it needs is not there
@@ -338,7 +338,7 @@ class Registry(Generic[T]):
         return loaded | self.load_third_party()
 
     def load_third_party(self) -> dict[str, T]:
-        """Return the objects that installed packages add; warns about those that cannot be loaded."""
+        """Return the objects that installed packages add; warn about those that cannot be loaded."""
         loaded: dict[str, T] = {}
         for entry in self.entries()[len(self._built_in) :]:
             try:

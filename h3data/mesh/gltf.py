@@ -281,7 +281,7 @@ def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _check_extensions(required: Any, path: Path) -> None:
-    """Refuse required extensions that are not known, by name; warns of those that only paint."""
+    """Refuse required extensions that are not known, by name; warn of those that only paint."""
     if not isinstance(required, list):
         raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
     # extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers.

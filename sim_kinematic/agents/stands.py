@@ -159,7 +159,7 @@ def island_of(free: FreeSpace, xz: Array) -> int:
 
 
 def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Array:
-    """Stand around a world point that are on an island and on the point's storey, and not on stairs."""
+    """Return the stands around a world point that are on an island and on the point's storey, and not on stairs."""
     there = free.island(stands[:, :2]) == island
     if len(free.heights):
         level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < STANDS.level_m

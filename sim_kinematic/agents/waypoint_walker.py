@@ -69,7 +69,7 @@ class WaypointHuman:
     _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
+        """Return the way point ``(x, z)`` to walk to from ``position``; draw the next goal when the last one is reached."""
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]

@@ -73,7 +73,7 @@ def decoding_errors() -> tuple[type[Exception], ...]:
 
 
 def scan_records(data: bytes) -> McapRecords:
-    """Return all records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
+    """Return all records up to the first damage, which `McapRecords.fault` names; check every checksum of the file."""
     log = McapRecords(size=len(data))
     if data[: len(MAGIC)] != MAGIC:
         log.fault = "empty" if not data else f"starts with {data[:8]!r}"

@@ -41,7 +41,7 @@ def numbers(array: pa.Array) -> NDArray[Any]:
 
 
 def to_arrow(rows: NDArray[Any]) -> pa.Array:
-    """Return rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; copies only booleans."""
+    """Return rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; only booleans are copied."""
     flat = rows.reshape(-1)
     # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
     data = pa.py_buffer(np.packbits(flat, bitorder="little") if flat.dtype == bool else flat)

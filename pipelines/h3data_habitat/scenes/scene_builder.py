@@ -48,7 +48,7 @@ class SceneBuilder:
             self.templates.warnings.append(warning)
 
     def find(self, dataset: SceneDataset, section: Section, name: str) -> Template | None:
-        """Return the template that a scene means by a name; warns if others fit as well."""
+        """Return the template that a scene means by a name; warn if others fit as well."""
         template, others = dataset.find(section, name)
         if template is not None and others:
             self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken: {template.path}")

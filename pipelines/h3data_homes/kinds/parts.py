@@ -111,7 +111,7 @@ def line(color: Paint, r: float, *points: Point, n: int = 6) -> tuple[Part, ...]
 def leaves(
     color: Paint, x: float, y: float, z: float, count: int, length: float, lean: tuple[float, float], width: float
 ) -> Part:
-    """Leave around a stem that rise and bend outwards; ``lean`` is their range of angles from upright."""
+    """Return leaves around a stem that rise and bend outwards; ``lean`` is their range of angles from upright."""
     return Part("leaves", color, (x, y, z), (length, *lean, width), detail=count)
 
 

@@ -163,7 +163,7 @@ ROBOTS = Group(
 
 
 def _usable_robots(up: Literal["z", "y"]) -> list[Robot]:
-    """Return all robots with a name; warns about those of installed packages that cannot be loaded, and leaves them out."""
+    """Return all robots with a name; warn about those of installed packages that cannot be loaded, and leave them out."""
     robots = []
     for name in robot_names():
         try:

@@ -90,7 +90,7 @@ class Processes:
 
 @contextmanager
 def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Process that leave at once when the block ends, whatever they are at."""
+    """Yield processes that leave at once when the block ends, whatever they are at."""
     context = get_context("spawn")  # forked children would share the thread pools of numba and torch
     gate, opener = context.Pipe(duplex=False)  # workers leave when the other end closes
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(gate,))

@@ -170,7 +170,7 @@ class _Importer:
         self._strangers: list[str] = []
 
     def attempt(self, job: ImportJob) -> ImportedFile:
-        """Import as `run` does, but reports files that cannot be imported in the result."""
+        """Import as `run` does, but report files that cannot be imported in the result."""
         kind, status = "unknown", "failed"
         try:
             file = SourceFile(job.source)

@@ -101,7 +101,7 @@ def _players(
     folder: Path,
     say: Say,
 ) -> Players | TensorPlayers:
-    """Process with the full rules, or worlds on a device, with these episodes or those of a file."""
+    """Return processes with the full rules, or worlds on a device, with these episodes or those of a file."""
     if not settings.oracle:
         if episodes is None:
             episodes = episodes_of(pool_of(settings, file or folder / EPISODES, workers=workers), settings)

@@ -220,7 +220,7 @@ class DrivenPerson(PersonActor):
         return self.seats and self.seats.nearest(self.xz, DRIVEN.seat_within_m, taken, lies=bool(action.command))
 
     def _sit(self, action: Action) -> Skill:
-        """Walk before the nearest seat, sit or lie down and remains there; whatever is asked next gets up first."""
+        """Walk before the nearest seat, sit or lie down and remain there; whatever is asked next gets up first."""
         place = self._nearest_seat(action)
         if place is None:
             return SkillResult("failed", "no_seat")

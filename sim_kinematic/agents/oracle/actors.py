@@ -117,7 +117,7 @@ class OracleRobot(RobotActor):
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
     def _go(self, errand: SubGoal) -> Skill:
-        """Drive along a path, and at its end turns until the hand points at what it came for."""
+        """Drive along a path, and at its end turn until the hand points at what it came for."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
         while since <= STUCK_STEPS:
             before = number
@@ -243,7 +243,7 @@ def _handling(
     stands: Callable[[], None],
     steps: tuple[int, int],
 ) -> Skill:
-    """Stand for a pick or a place, in the course of which the object changes hands, or until a part opens or closes."""
+    """Stand still for a pick or a place, in the course of which the object changes hands, or until a part opens or closes."""
     changes, ends = steps
     for step in range(1, ends + 1):
         stands()

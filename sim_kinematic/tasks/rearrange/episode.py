@@ -490,7 +490,7 @@ class _EpisodeSampler:
         return self._openable[joint]
 
     def _stands_before(self, openables: ArticulatedParts, joint: int) -> tuple[Array, Array]:
-        """Stand ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
+        """Return stands ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
         handle = openables.handles(openables.positions)[joint]
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
         people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])

@@ -63,12 +63,12 @@ class _Body:
     def shelf(
         self, name: str, x: Span, y: float, z: Span, above: float, color: Color, *, thick: float = BOARD_M
     ) -> str:
-        """Return a board with its upper side at height ``y`` and a surface on it; returns the name."""
+        """Add a board with its upper side at height ``y`` and a surface on it; return the name."""
         self.board((x[0], y - thick, z[0]), (x[1], y, z[1]), color)
         return self.floor(name, x, y, z, above)
 
     def floor(self, name: str, x: Span, y: float, z: Span, above: float) -> str:
-        """Return a surface on what is there already; returns the name."""
+        """Add a surface on what is there already; return the name."""
         center = ((x[0] + x[1]) / 2, y, (z[0] + z[1]) / 2)
         self.surfaces.append(surface(name, center, (x[1] - x[0] - 0.02, z[1] - z[0] - 0.02), above))
         return name
