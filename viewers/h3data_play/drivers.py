@@ -13,8 +13,9 @@ import numpy as np
 
 from h3data.bodies.people.gestures import GESTURES, NAMES, add_gestures
 from h3data.bodies.people.reach import hand_points
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat
+from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix
 from h3data.scene import FreeSpace
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
@@ -388,18 +389,20 @@ class PersonDriver(SkillDriver):
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
             self.gestured += 1
-            right = right or HandTarget(tuple(self.reach_of(seconds).tolist()))
+            right = right or self.reach_of(seconds)
             head = head or (0.0, float(np.radians(gesture.head_deg)))
             if self.gesture == "wave" and seconds >= WAVES * gesture.seconds:
                 self.gesture = ""
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
-    def reach_of(self, seconds: float) -> Array:
-        """Place of the right palm [3] in the person's root frame during the gesture: where somebody who stands has it."""
+    def reach_of(self, seconds: float) -> HandTarget:
+        """Place and rotation of the right hand during the gesture: those of somebody who stands."""
         body = self.body.person.body
         quats, pelvis = (np.array(part) for part in body.clip_pose([0], [0.0]))
         add_gestures(body, quats, pelvis, [[NAMES.index(self.gesture), seconds, 1.0]])
-        return hand_points(body.joint_matrices(IDENTITY_POSE, quats, pelvis), body)[0]
+        frames = body.joint_matrices(IDENTITY_POSE, quats, pelvis)
+        wrist = quat_from_matrix(frames[0, JOINT_INDEX["right_wrist"], :3, :3])
+        return HandTarget(tuple(hand_points(frames, body)[0].tolist()), tuple(wrist.tolist()))
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
