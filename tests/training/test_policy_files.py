@@ -341,7 +341,7 @@ def test_a_packed_policy_is_the_same_one(file: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "digest"),
     [
-        ("end_to_end", "4e574c42e442760b"),
+        ("end_to_end", "20cd086e69681236"),
         ("end_to_end_paper", "e974033d50794e67"),
         ("learn_single", "5bcd3dd49c934167"),
         ("plan_pop_3_robot", "9733b80c5ab7fb64"),
