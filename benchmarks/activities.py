@@ -28,12 +28,13 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import h3data
 from benchmarks.chores import HOME, SEED, STOPS
 from benchmarks.motion import motion_of
 from h3data.bodies import Humanoid, humanoid_names
-from h3data.geometry import Array, pose_to_matrix
+from h3data.geometry import pose_to_matrix
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
@@ -73,7 +74,7 @@ def resident(task: object, episode: Any, number: int) -> CrowdPolicy:
     """Return the policy of the person."""
     own, start = episode.roster[number].body, episode.starts[number, :2]
     routine = ChoreRoutine(episode.scene, episode.free, (*STOPS, *OTHERS), own, start=start)
-    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)  # pyright: ignore[reportArgumentType]
 
 
 def played(body: str) -> Recording:
@@ -119,7 +120,7 @@ def figures_of(recording: Recording) -> dict[str, Figures]:
     return out
 
 
-def knuckles_m(replay: Replay, rows: Array) -> float:
+def knuckles_m(replay: Replay, rows: NDArray[np.intp]) -> float:
     """Return how deep [m] the skin of the right hand gets into the door in steps ``rows``; below 0: it stays that far away."""
     body, scene = replay.model(0), replay.scene
     assert isinstance(body, Humanoid)
