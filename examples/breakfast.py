@@ -1,7 +1,7 @@
 """Pictures of a breakfast: people take something out of the fridge, carry a tray with two hands, and look at a phone.
 
 python examples/breakfast.py out/breakfast       # breakfast.mcap, sheet.jpg
-h3data replay out/breakfast/breakfast.mcap --verify
+(cd examples; h3data replay ../out/breakfast/breakfast.mcap --verify --trust breakfast)  # simulates it again, bit for bit
 """
 
 from __future__ import annotations

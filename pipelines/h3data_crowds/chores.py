@@ -45,10 +45,14 @@ CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0, "knock": 3.0}
 """Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
 UNPLANNED = ("phone", "knock")
 """Chores that are done wherever people can stand beside the thing."""
-KNUCKLES_M, KNOCKS = 0.07, 3
-"""Distance of the knuckles of a closed hand before its palm [m], and number of knocks."""
+KNOCKS, TOUCHES_M = 3, 0.003
+"""Number of knocks, and distance of the knuckles from what they knock at [m]."""
+FINGERS = ("wrist", "index", "middle", "pinky", "ring", "thumb")
+"""Parts of a hand, by the names of their joints."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
 """Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
+HAND = [k for name, k in JOINT_INDEX.items() if name.startswith("right_") and name.rstrip("123")[6:] in FINGERS]
+"""Joints of the right hand."""
 PHONE_M = np.array([0.005, 0.074, 0.036])
 """Half sizes of a phone."""
 GRIP_BACK_M = 0.1
@@ -282,7 +286,9 @@ class ChoreRoutine(Routine):
         """Yield the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
         yield from steps_between(here, place)
         work, right = self._work, reacher(self._body, "right")
-        door = np.array([gap - KNUCKLES_M, 0.95 * right.body.scale, 0.12])
+        door = np.array([gap, 0.95 * right.body.scale, 0.12])
+        for _ in range(2):  # the second time from a posture that differs by millimetres only
+            door[0] += gap - TOUCHES_M - self._knuckles(door, bool(right.reachable(door[None])[0]))
         t = np.arange(round(max(seconds - 1.0, 2.5) / STEP_S)) * STEP_S
         on = _ramp(t, 0.0, 0.8) - _ramp(t, t[-1] - 0.8, t[-1])
         back = 0.07 * np.cos(np.pi * np.clip((t - 0.8) / 0.25, 0.0, 2 * KNOCKS)) + 0.07
@@ -292,6 +298,16 @@ class ChoreRoutine(Routine):
             work.lead[3] = [*door, 0.6 * on[n] * leans]
             yield place, 0.0
         work.lead[:] = 0.0
+
+    def _knuckles(self, palm: Array, leans: bool) -> float:
+        """Return how far ahead the skin of the right hand reaches while its palm is led to a place [3] [m]."""
+        body, lead = self._body, np.zeros((1, 4, 4))
+        quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+        lead[0, 1], lead[0, 3] = [*palm, 1.0], [*palm, 0.6 * leans]
+        lead_hands(body, quats, pelvis, lead)
+        frames = body.joint_matrices(IDENTITY_POSE[None], quats, pelvis)
+        owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
+        return float(body.skin(frames)[0, np.isin(owner, HAND), 0].max())
 
     # --- movements -------------------------------------------------------------------------------------------------------
     def _take(self, plan: Chore, t: Array) -> Movement:

@@ -13,7 +13,10 @@ from typing import Any
 
 import pytest
 
+import h3data
 from h3data.recording import read_mcap
+from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
 from tests.paths import ROOT
 
@@ -139,6 +142,25 @@ def test_nothing_on_the_page_lies_on_anything_else_at_any_size(server: Any, tmp_
     assert {"view", "button-view", "button-help", "button-leave", "thumb-act"} <= set(said["rings"])
     assert min(said["rings"].values()) >= 3, said["rings"]
     assert said["lives"][0] == ["alert", "There is nowhere to stand from which it could be put there.", "block"]
+
+
+def test_fingers_are_offered_the_postures_that_there_are(server: Any, tmp_path: Path) -> None:
+    x, z = place_to_lie("small:1").tolist()
+    said = play("postures", f"{server.links[0]}@{x},{z}", tmp_path)
+    assert said["layout"] == {}
+    assert said["away"][-2:] == ["Wave", "Phone"]
+    assert said["near"] == ["Sit down", "Lie down", "Wave", "Phone"]
+    assert said["lies"] == ["Get up"]
+
+
+def place_to_lie(scene: str) -> Any:
+    """Place (x, z) from which a player lies down in a home."""
+    session = h3data.session("rearrange", scene, agents={"person": External(), "robot": "still"}, seed=2)
+    (person,) = [actor for actor in session.play.team.actors if isinstance(actor, DrivenPerson)]
+    assert person.seats is not None
+    place = person.seats.nearest(person.xz, 30.0, lies=True)
+    assert place is not None
+    return place.before[:2]
 
 
 def test_an_empty_hand_and_a_click_on_the_own_body_are_answered(server: Any) -> None:

@@ -9,8 +9,10 @@ import pytest
 
 import h3data
 from h3data.bodies.people.reach import hand_points
-from h3data_play.drivers import WAVES, PersonDriver
+from h3data_play.drivers import OFFER_STEPS, WAVES, PersonDriver
 from h3data_play.messages import Gesture, Sit, decode
+from h3data_play.wire import GESTURES, LIES, SEATED, SITS
+from sim_kinematic.agents.driven.commands import Sit as Seat
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
@@ -27,7 +29,9 @@ def played(driver: PersonDriver, steps: int) -> np.ndarray:
     """Heights of the right palm above the floor [T]."""
     heights = []
     for _ in range(steps):
-        driver.session.act("person", driver.command())
+        command = driver.command()
+        if command is not None:
+            driver.session.act("person", command)
         driver.session.step()
         columns = driver.session.recorder.latest_columns()
         prefix = f"agent_{driver.number}."
@@ -55,6 +59,26 @@ def test_a_phone_stays_until_the_same_key_or_full_hands(driver: PersonDriver, mo
     monkeypatch.setattr(type(driver.objects), "held", lambda *_: 0)
     assert driver.follow(Gesture(name="wave")) == sentence("hand_full")
     assert driver.gesture == ""
+
+
+def test_only_postures_that_are_possible_are_offered(driver: PersonDriver, monkeypatch: pytest.MonkeyPatch) -> None:
+    played(driver, 2)
+    assert driver.offers == SITS | LIES | GESTURES, "small:1 has a bed near its start"
+    driver.follow(Sit(lies=True))
+    assert driver.session.refusal("person", Seat(lies=True)) is None
+    played(driver, 3)
+    assert driver.offers == 0, "a body that is led has no buttons"
+    while driver.body.seat is None:
+        played(driver, 1)
+    assert driver.offers == SEATED
+    driver.follow(Sit())
+    while driver.busy:
+        played(driver, 1)
+    monkeypatch.setattr(driver.body.seats, "nearest", lambda *_args, **options: None if options["lies"] else ...)
+    played(driver, OFFER_STEPS)
+    assert driver.offers == SITS | GESTURES
+    monkeypatch.setattr(type(driver.objects), "held", lambda *_: 0)
+    assert driver.offers == 0
 
 
 def test_messages_name_what_they_want() -> None:

@@ -37,6 +37,8 @@ from h3data_play.messages import (
     Sit,
     Stop,
 )
+from h3data_play.wire import GESTURES as CAN_GESTURE
+from h3data_play.wire import LIES, SEATED, SITS
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
@@ -59,6 +61,8 @@ GOAL_M = 0.02
 
 WAVES = 3
 """Number of movements of a hand that waves."""
+OFFER_STEPS = 15
+"""Number of steps between two searches for seats, of which one in a part of the home that is new to the player takes 50 ms."""
 
 
 class Driver:
@@ -143,6 +147,11 @@ class Driver:
     def busy(self) -> bool:
         """Return whether the agent is moved by something other than the player's keys."""
         return self.guide is not None
+
+    @property
+    def offers(self) -> int:
+        """Flags of the postures that the player could take now (`h3data_play.wire.SITS` and those after it)."""
+        return 0
 
     def can_place(self, point: Any) -> str:
         """Return the reason why the held object could not be placed at a point now; empty if it could."""
@@ -357,6 +366,8 @@ class PersonDriver(SkillDriver):
         self.head: tuple[float, float] | None = None
         self.gesture, self.gestured = "", 0
         """Name of the gesture, and number of its steps so far."""
+        self._seats, self._sought = 0, -OFFER_STEPS
+        """Flags of the seats that are near, and the step in which they were sought."""
 
     def follow(self, message: Act) -> str:
         """Carries out a message; those about hands and head set their targets."""
@@ -428,6 +439,19 @@ class PersonDriver(SkillDriver):
     def can_place(self, point: Any) -> str:
         """Reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
         return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
+
+    @property
+    def offers(self) -> int:
+        """Flags of the postures that the player could take now: the same that the simulator allows."""
+        if self.body.seat is not None:
+            return SEATED
+        if self.busy or self.objects.held(self.number) >= 0:
+            return 0
+        step = len(self.session.recorder)
+        if step >= self._sought + OFFER_STEPS:
+            able = {flag: not self.session.refusal(self.name, SitSkill(flag == LIES)) for flag in (SITS, LIES)}
+            self._seats, self._sought = sum(flag for flag in able if able[flag]), step
+        return CAN_GESTURE | self._seats
 
     @property
     def busy(self) -> bool:

@@ -382,7 +382,8 @@ class LiveGame:
         flags = ENDED if self.ended else 0
         flags |= TOUCH if bool(columns.get("metrics.collision", _NO)[-1]) else 0
         flags |= WALL if bool(columns.get("metrics.robot_contact", _NO)[-1]) else 0
-        flags |= BUSY if driver is not None and driver.busy else 0
+        if driver is not None:
+            flags |= driver.offers | (BUSY if driver.busy else 0)
         ack = -1 if driver is None else driver.ack
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
 

@@ -37,6 +37,9 @@ STATE, PONG = 1, 2
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
 """Flags: agents touch; a robot touches the home; the episode is over; the player's agent is moved by a skill or a walk that
 the server leads."""
+SITS, LIES, SEATED, GESTURES = 16, 32, 64, 128
+"""Flags of postures: a seat is near and free; so is a bed or sofa on which the player's person can lie; they sit, or lie; their
+hands are empty, so that they can wave and look at a phone."""
 BODY_JOINTS = 21
 """SMPL-X joints 1 to 21 move; fingers, jaw and eyes keep the pose that the GLB has."""
 JOINT_UNIT = 2e-4

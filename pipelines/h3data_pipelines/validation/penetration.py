@@ -5,7 +5,9 @@ runs. This looks at them afterwards.
 
 The one contact that an agent intends: while it picks or places, the hand, the forearm of a person and what the hand holds may
 be in the thing on or in which the object lies, or is to lie, because what is taken from a shelf is taken from inside it.
-Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf, the carried object on its way.
+So may the hand of somebody who knocks be in what they knock at: its capsule is thicker than its knuckles, which
+`benchmarks.activities` measures. Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf,
+the carried object on its way.
 
 The surface on which somebody lies does not count either. The capsules of a trunk are as thick as it is broad, so they reach
 farther into it than the skin does, which `benchmarks.lying` measures.
@@ -141,6 +143,10 @@ def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery
     # a chore lasts from the activity to the next way, and what is taken or put down is told in between
     told = [event for event in recording.events if event.agent == agent and event.kind in CHORE_EVENTS]
     for k, event in enumerate(told):
+        if event.kind == "activity" and event.target == "knocking":
+            ends = told[k + 1].step if k + 1 < len(told) else len(recording)
+            for row in np.flatnonzero((steps >= event.step) & (steps < ends)):
+                found[row] = frozenset((event.detail,))
         if event.kind in ("takes", "puts"):
             ends = told[k + 1].step if k + 1 < len(told) else len(recording) - 1
             spans.append((event.kind == "takes", event.target, told[max(k - 1, 0)].step, ends))

@@ -394,6 +394,7 @@ export class Game {
       const where = say(!now.known[k] ? "unseen_to_goal" : now.shut[k] ? "shut_to_goal" : "to_goal", { goal: goal.label });
       return { ...item, state: item.done ? say("there") : (now.known[k] && who) || where };
     }));
+    this.hud.postures(plays ? state.flags : 0);
     this.hud.thumb(...([false, true].map((lead) => thumbText(this.manifest, state, deed(now, lead), lead)) as [string, string]));
   }
 
@@ -443,7 +444,8 @@ export class Game {
 
 const BUTTONS: [string, Wish][] = [
   ["button-view", "view"], ["button-map", "map"], ["button-sound", "sound"], ["button-help", "help"],
-  ["thumb-act", "act"], ["thumb-goto", "goto"], ["button-do", "do"], ["button-finish", "finish"],
+  ["thumb-act", "act"], ["thumb-goto", "goto"], ["posture-sit", "sit"], ["posture-lie", "lie"], ["posture-wave", "wave"], ["posture-phone", "phone"],
+  ["button-do", "do"], ["button-finish", "finish"],
 ];
 const NEXT_VIEW: Record<View, View> = { third: "first", first: "third", above: "above" };
 

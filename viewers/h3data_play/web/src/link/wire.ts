@@ -42,7 +42,7 @@ export interface State {
   joints: Float32Array;
 }
 
-export const FLAG = { touch: 1, wall: 2, ended: 4, busy: 8 } as const;
+export const FLAG = { touch: 1, wall: 2, ended: 4, busy: 8, sits: 16, lies: 32, seated: 64, gestures: 128 } as const;
 
 /** What of the manifest lays out a state. */
 export interface AgentLayout {

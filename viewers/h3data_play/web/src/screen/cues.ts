@@ -34,7 +34,7 @@ export class Cues {
   private marker: Vector3 | null = null;
   private readonly map: MiniMap;
   private readonly heights: number[];
-  private readonly parts = [...document.querySelectorAll("#task, #bar, #map, #hint, #toast, #stick, #thumbs, #talk")];
+  private readonly parts = [...document.querySelectorAll("#task, #bar, #map, #hint, #toast, #stick, #postures, #thumbs, #talk")];
   private frame = 0;
 
   constructor(

@@ -1,5 +1,6 @@
 /** What is said to the player: task, time, reasons, hints, covers. All of it is DOM, so that it can be read aloud and zoomed. */
 
+import { FLAG } from "../link/wire.ts";
 import { fillIn, say } from "../words.ts";
 import { setText } from "./markers.ts";
 import { thingColor, thingLetter } from "./palette.ts";
@@ -74,7 +75,7 @@ export class Hud {
     );
     const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
-    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : ""].join(" ").trim());
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", postures ? say("help_postures") : ""].join(" ").trim());
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {
@@ -163,6 +164,14 @@ export class Hud {
     $("hint").replaceChildren(
       ...shown.flatMap(([name, text], k) => [...(k ? [" · "] : []), ...(name ? [key(name)] : []), ` ${text}`]),
     );
+  }
+
+  /** Buttons for postures, for fingers: those that the player could take now. */
+  postures(flags: number): void {
+    const { sits, lies, seated, gestures } = FLAG;
+    for (const [name, shown] of [["sit", sits | seated], ["lie", lies], ["wave", gestures], ["phone", gestures]] as const)
+      this.show(`posture-${name}`, (flags & shown) !== 0);
+    setText($("posture-sit"), say(flags & seated ? "posture_rise" : "posture_sit"));
   }
 
   thumb(act: string, go: string): void {

@@ -217,7 +217,7 @@ const SIZES = [
 
 /** Parts of the page that lie on each other, are cut, or stick out of the window; run in the page. */
 const LAYOUT = `(() => {
-  const parts = [...document.querySelectorAll("#bar button, #timer, #task h1, #todo li > *, #lines p, #map, #hint, #toast, #stick, #thumbs button, .mark:not(.squeezed)")]
+  const parts = [...document.querySelectorAll("#bar button, #timer, #task h1, #todo li > *, #lines p, #map, #hint, #toast, #stick, #thumbs button, #postures button, .mark:not(.squeezed)")]
     .map((node) => [node, node.getBoundingClientRect()])
     .filter(([node, box]) => box.width > 0 && box.height > 0 && getComputedStyle(node).visibility === "visible");
   const name = (node) => node.id || node.className + " " + node.textContent;
@@ -239,6 +239,61 @@ const LAYOUT = `(() => {
   if (task.scrollHeight > task.clientHeight + 1) faults.push("the task is cut");
   return faults;
 })()`;
+
+/** All buttons for postures at once, with the longest words that there are; they stay. */
+const ALL_POSTURES = `(() => {
+  probe.game.hud.postures = () => {};
+  ["Sentarse", "Acostarse", "Saludar", "Teléfono"].forEach((word, k) =>
+    Object.assign(document.querySelectorAll("#postures button")[k], { hidden: false, textContent: word }));
+})()`;
+
+/** Sits, lies, waves and looks at a phone by fingers, at a place beside a bed: LINK@X,Z. Buttons show only what can be done there. */
+async function postures() {
+  const [link, at] = url.split("@");
+  const [x, z] = at.split(",").map(Number);
+  const player = await openPage(link, { width: 390, height: 844, touch: true, full: !!pictures });
+  await player.started();
+  await player.drawn(3);
+  const offered = () => player.ask("[...document.querySelectorAll('#postures button')].filter((button) => button.offsetParent).map((button) => button.textContent)");
+  const faults = {};
+  const look = async (name) => {
+    await player.drawn(3);
+    const seen = await player.ask(LAYOUT);
+    if (seen.length) faults[name] = seen;
+    await player.shot(picture(name));
+    return offered();
+  };
+  const tap = (name) => player.page.tap(`#posture-${name}`);
+  const flags = "probe.game.net.latest.flags";
+  const away = await look("away");
+  await tap("wave");
+  await player.nap(900);
+  await look("waves");
+  await player.nap(3000);
+  await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
+  await player.nap(500);
+  await player.idle();
+  await player.until(`(${flags} & 32) !== 0`, "lying down to be offered");
+  const near = await look("near");
+  await player.page.setViewportSize({ width: 320, height: 568 });
+  await look("near_320");
+  await player.page.setViewportSize({ width: 844, height: 390 });
+  await look("near_844");
+  await player.page.setViewportSize({ width: 390, height: 844 });
+  await tap("lie");
+  await player.until(`(${flags} & 64) !== 0`, "the person to lie down", 60_000);
+  await player.nap(9000);
+  const lies = await look("lies");
+  await tap("sit");
+  await player.until(`(${flags} & 72) === 0`, "the person to stand", 60_000);
+  await player.nap(600);
+  await tap("phone");
+  await player.nap(1500);
+  await look("phone");
+  await tap("phone");
+  await player.nap(1000);
+  return { away, near, lies, layout: faults, ...(await player.close()) };
+}
 
 /** Lowest contrast that the ring around what has the focus has with anything behind it: of its two lines the better one counts. */
 const RING = `(() => {
@@ -281,6 +336,11 @@ async function layout() {
       await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Dejar de participar en el estudio'; 0");
       await look("all buttons");
       await player.ask("document.getElementById('button-pause').hidden = true; 0");
+      if (touch) {
+        await player.ask(ALL_POSTURES);
+        await look("all postures");
+        await shot("_postures");
+      }
       if (Object.keys(found).length) faults[`${width}x${height} ${touch ? "touch" : "mouse"}`] = found;
     }
     await player.ask("document.activeElement.blur(); 0");
@@ -623,13 +683,13 @@ async function wordsAt() {
 
 /** Pairs of parts of the page that lie on each other. */
 const OVERLAPS = `(() => {
-  const parts = ["task", "bar", "map", "talk", "hint", "stick", "thumbs"].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
+  const parts = ["task", "bar", "map", "talk", "hint", "stick", "postures", "thumbs"].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
   const seen = parts.filter(([, box]) => box.width > 0 && box.height > 0);
   const on = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
   const out = seen.filter(([, box]) => box.left < -1 || box.top < -1 || box.right > innerWidth + 1 || box.bottom > innerHeight + 1).map(([id]) => [id, "out"]);
   return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
 })()`;
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, postures, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
