@@ -108,7 +108,7 @@ class TensorCameras:
         if renderer is None:
             from h3data_gpu import GpuRenderer as renderer
         self.renderer = renderer(
-            stages, width=width, height=height, worlds=worlds, light=_light_of_all(homes, lamps), device=device
+            stages, width=width, height=height, worlds=worlds, light=light_of_all(homes, lamps), device=device
         )
         self._eyes: dict[str, Tensor] = {}
         """Poses of the cameras as last posed, [W, 3, 4] each."""
@@ -214,7 +214,7 @@ def lit_home(
     return BAKERS.get("baked")(meshes, placed, static, sources_of(scene), name=scene.name)
 
 
-def _light_of_all(homes: Sequence[Scene], lamps: Sequence[LitScene | None]) -> Light | None:
+def light_of_all(homes: Sequence[Scene], lamps: Sequence[LitScene | None]) -> Light | None:
     """Return the light that a renderer of all homes has.
 
     Raises:

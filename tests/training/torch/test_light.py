@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 torch = pytest.importorskip("torch")
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
+from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import IDENTITY_POSE  # noqa: E402
 from h3data.render import RenderInstance  # noqa: E402
 from h3data.replay.shadow_casters import shadow_casters  # noqa: E402
 from h3data_light.field import LightField  # noqa: E402
+from h3data_training.torch.cameras import light_of_all  # noqa: E402
 from h3data_training.torch.light import PERSON, ROBOT, AgentLight  # noqa: E402
 
 
@@ -67,3 +70,13 @@ def test_agents_are_lit_and_cast_shadows_as_on_the_cpu() -> None:
         np.testing.assert_allclose(rows[w].numpy(), want.rows, rtol=2e-3, atol=2e-5)
         np.testing.assert_allclose(tints[w, : len(want.tints)].numpy(), want.tints, rtol=1e-4, atol=1e-5)
     assert tints.shape[1] == max(len(home.instances) for home in homes)
+
+
+def test_homes_of_which_only_some_have_light_are_refused() -> None:
+    homes: Any = [SimpleNamespace(name="bright"), SimpleNamespace(name="cellar")]
+    lit, dark = (cast(Any, SimpleNamespace(baked=baked, light=str(baked))) for baked in (True, False))
+    assert light_of_all(homes, [lit, lit]) == "True"
+    assert light_of_all(homes, [dark, dark]) == "False"
+    assert light_of_all(homes, [None, None]) is None
+    with pytest.raises(InputError, match=r"(?s)reaches cellar,.*H3-ENV-057"):
+        light_of_all(homes, [lit, dark])
