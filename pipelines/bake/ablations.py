@@ -230,8 +230,9 @@ class _Processes:
 
 def _end_with_parent() -> None:
     """Ask Linux to kill this process when its parent dies, also of kill -9: two processes must not write one folder."""
-    pr_set_pdeathsig = 1
-    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+    if sys.platform == "linux":
+        pr_set_pdeathsig = 1
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def _summary(run: Run, code: int) -> str:

@@ -15,10 +15,14 @@ from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import IDENTITY_POSE  # noqa: E402
 from h3data.render import RenderInstance  # noqa: E402
+from h3data.render.sheets.scene_map import render_scene  # noqa: E402
 from h3data.replay.shadow_casters import shadow_casters  # noqa: E402
+from h3data_homes import HomeSpec, build_home  # noqa: E402
+from h3data_light import store  # noqa: E402
 from h3data_light.field import LightField  # noqa: E402
-from h3data_training.torch.cameras import light_of_all  # noqa: E402
+from h3data_training.torch import cameras  # noqa: E402
 from h3data_training.torch.light import PERSON, ROBOT, AgentLight  # noqa: E402
+from sim_kinematic.sensing.camera_sensor import StateRenderer  # noqa: E402
 
 
 def field(rng: np.random.Generator, shape: tuple[int, int, int]) -> LightField:
@@ -58,9 +62,8 @@ def test_agents_are_lit_and_cast_shadows_as_on_the_cpu() -> None:
     joints = moved(body, rng, worlds)
     place = rng.integers(0, 2, worlds)
     light = AgentLight(homes, robot, human, device="cpu")  # type: ignore[arg-type]
-    rows, tints = light.cast(
-        *(torch.as_tensor(frames[:, :, :3], dtype=torch.float32) for frames in (parts, joints)), torch.as_tensor(place)
-    )
+    tensors = [torch.as_tensor(frames[:, :, :3], dtype=torch.float32) for frames in (parts, joints)]
+    rows, tints = light.cast(tensors[0], tensors[1], torch.as_tensor(place))
     ends = human.capsules_world(joints)
     for w, home in enumerate(place):
         first = len(homes[home].instances) - len(links) - 1
@@ -75,8 +78,33 @@ def test_agents_are_lit_and_cast_shadows_as_on_the_cpu() -> None:
 def test_homes_of_which_only_some_have_light_are_refused() -> None:
     homes: Any = [SimpleNamespace(name="bright"), SimpleNamespace(name="cellar")]
     lit, dark = (cast(Any, SimpleNamespace(baked=baked, light=str(baked))) for baked in (True, False))
-    assert light_of_all(homes, [lit, lit]) == "True"
-    assert light_of_all(homes, [dark, dark]) == "False"
-    assert light_of_all(homes, [None, None]) is None
+    assert cameras.light_of_all(homes, [lit, lit]) == "True"
+    assert cameras.light_of_all(homes, [dark, dark]) == "False"
+    assert cameras.light_of_all(homes, [None, None]) is None
     with pytest.raises(InputError, match=r"(?s)reaches cellar,.*H3-ENV-057"):
-        light_of_all(homes, [lit, dark])
+        cameras.light_of_all(homes, [lit, dark])
+
+
+class Asked(Exception):
+    """Raised instead of a bake; holds the key of the light in the cache."""
+
+
+def test_light_is_baked_once_for_devices_and_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    home, robot, human = build_home(HomeSpec(preset="small", seed=1)), load_robot("quad_arm"), load_humanoid("female_0")
+
+    def ask(*given: Any) -> None:
+        raise Asked(store._key(*given[:-1]))
+
+    monkeypatch.setattr("h3data_light.bake.cached", ask)
+    drawn = render_scene(home)
+    static = range(len(drawn.instances))
+    keys = []
+    for bake in (
+        lambda: StateRenderer(home, [robot, human], light="baked"),
+        lambda: next(cameras._stages([home], robot, human, low_detail=True, light="baked")),
+        lambda: cameras.lit_home(home, drawn.meshes, drawn.instances, static),  # of the processes that prepare episodes
+    ):
+        with pytest.raises(Asked) as asked:
+            bake()
+        keys.append(str(asked.value))
+    assert len(set(keys)) == 1
