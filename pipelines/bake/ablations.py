@@ -69,11 +69,11 @@ class Ablations:
     size: str = "96x72"
     """Size of the pictures in colour, which are in baked light."""
     train: str = "--recipe fast"
-    """More options of h3data train, the same for all rows."""
+    """More options of h3data train, the same for all rows: --train="--recipe fast --worlds 2048"."""
     seconds: float | None = None
     """Duration of this call; runs that are not over are saved, and the next call goes on."""
     evaluate: str = "--scenes h3-homes/test --episodes 150"
-    """Options of h3data evaluate; empty evaluates nothing."""
+    """Options of h3data evaluate, as for --train; empty evaluates nothing."""
 
     def __post_init__(self) -> None:
         unknown = [row for row in self.rows if row not in ROWS]
@@ -263,4 +263,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _interrupt)
-    sys.exit(main(tyro.cli(Ablations)))
+    try:
+        sys.exit(main(tyro.cli(Ablations)))
+    except KeyboardInterrupt:
+        sys.exit("Stopped; all runs are saved. Hint: the same command goes on.")

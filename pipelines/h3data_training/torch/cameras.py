@@ -191,7 +191,7 @@ def _stages(
 
     check_light(light)
     skin, worn = (human.lod, human.lod_mesh) if low_detail else (human.full, human.mesh)
-    for scene in progress(homes, desc="homes to see", unit="home", delay=1.0, leave=False):
+    for scene in progress(homes, desc="rendered homes", unit="home", delay=1.0, leave=False):
         meshes, instances, links = with_robot(scene, robot)
         person, lit = len(meshes), None
         meshes.append(worn)
