@@ -14,6 +14,7 @@ from h3data.render.camera import Camera
 from h3data.render.outputs import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
+from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.shading import Light
 from h3data_gpu.cuda import Program, resolve_device
 from h3data_gpu.gpu_scene import GpuScene
@@ -247,6 +248,25 @@ class GpuRenderer:
         if len(blockers) != self.worlds:
             raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)
+
+    def update_shadows(self, rows: torch.Tensor, tints: torch.Tensor) -> None:
+        """Set what `update_blockers` sets from tensors on the device, which are not copied.
+
+        Args:
+            rows: `Blockers.rows` of all worlds, as many in each, float32 [worlds, N, 21].
+            tints: `Blockers.tints` of all worlds, float32 [worlds, I, 4]; I is the greatest number of instances of a scene.
+        """
+        import torch
+
+        most = max(len(stage.scene.instances) for stage in self.scenes)
+        if rows.shape[0] != self.worlds or rows.shape[2:] != (BLOCKER_WORDS,) or tints.shape != (self.worlds, most, 4):
+            raise InputError(
+                f"Expected blockers [{self.worlds}, N, {BLOCKER_WORDS}] and tints [{self.worlds}, {most}, 4], got "
+                f"{list(rows.shape)} and {list(tints.shape)}.",
+                code="H3-RENDER-100",
+            )
+        counts = torch.full((self.worlds,), rows.shape[1], dtype=torch.int32, device=self.device)
+        self._shader.take_blockers(rows.contiguous(), counts, tints.contiguous())
 
     def _skin(self, joints: torch.Tensor) -> None:
         """Deform all skinned meshes to joints [worlds, bodies, J, 3 or 4, 4]."""

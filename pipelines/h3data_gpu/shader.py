@@ -77,8 +77,12 @@ class Shader:
         for world, own in enumerate(blockers):
             if own is not None:
                 rows[world, : len(own.rows)], receivers[world, : len(own.tints)] = own.rows, own.tints
-        arrays = {"blockers": rows, "blocker_counts": np.array(counts, np.int32), "receivers": receivers}
-        self._blockers = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
+        arrays = rows, np.array(counts, np.int32), receivers
+        self.take_blockers(*(torch.from_numpy(array).to(self.device) for array in arrays))
+
+    def take_blockers(self, rows: torch.Tensor, counts: torch.Tensor, receivers: torch.Tensor) -> None:
+        """Set the capsules of every world [W, N, 21], how many of them count [W], and the tints of instances [W, I, 4]."""
+        self._blockers = {"blockers": rows, "blocker_counts": counts, "receivers": receivers}
         self._shade.fill(**self._blockers, blocker_limit=rows.shape[1], receiver_limit=receivers.shape[1])
 
     def run(

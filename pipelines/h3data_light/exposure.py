@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,13 +19,16 @@ _TINT = 0.55
 """Share of the light's own colour; eyes and cameras adapt to the rest."""
 
 
-def shown_light(irradiance: NDArray[np.floating], mean: float) -> NDArray[np.floating]:
-    """Appearance of irradiance [N, 3] in a home with this ``mean``: light on a white surface, linear RGB [N, 3]."""
-    amount = irradiance.mean(1, keepdims=True)
-    tint = 1 + _TINT * (irradiance / np.maximum(amount, 1e-9) - 1)
+def shown_light(irradiance: Any, mean: Any, xp: Any = np) -> Any:
+    """Appearance of irradiance [..., 3] in a home with this ``mean``: light on a white surface, linear RGB [..., 3].
+
+    ``xp`` is the namespace of the arrays: NumPy or PyTorch.
+    """
+    amount = irradiance.mean(-1, keepdims=True)
+    tint = 1 + _TINT * (irradiance / amount.clip(1e-9) - 1)
     curve = DARKEST + (1 - DARKEST) * (amount / mean) ** _EXPONENT
-    above, room = np.maximum(curve - _SHOULDER, 0), _BRIGHTEST - _SHOULDER
-    curve = np.minimum(curve, _SHOULDER) + room * (1 - np.exp(-above / room))
+    above, room = (curve - _SHOULDER).clip(0), _BRIGHTEST - _SHOULDER
+    curve = curve.clip(None, _SHOULDER) + room * (1 - xp.exp(-above / room))
     return _MEAN * curve * tint
 
 

@@ -24,9 +24,9 @@ SPACING_VOXELS = 10
 _RAYS = 64
 _FARTHEST_M = 4.0
 """Shadows do not reach farther."""
-_MOST = 0.85
+MOST = 0.85
 """Largest share of the light that comes from one direction; the rest is the sky's and the walls'."""
-_FROM_DISC = 0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2))
+FROM_DISC = float(0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2)))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
 _UPWARD, _ABOVE_M = 0.9, 0.4
 """Floors face up by this much; what they mirror is the light this far above them."""
@@ -79,8 +79,8 @@ class LightField:
         everywhere = bright.sum(1) / 1.5  # |x| + |y| + |z| is 1.5 on the mean over all directions
         lit = (length > 1e-6) & (everywhere > 1e-6)
         direction = np.where(lit[:, None], vector / np.maximum(length, 1e-9)[:, None], [0.0, 1.0, 0.0])
-        share = np.where(lit, length / np.maximum(everywhere, 1e-9) / _FROM_DISC, 0.0)
-        return LightAt(direction, np.minimum(share, _MOST), reach, cube.mean(1))
+        share = np.where(lit, length / np.maximum(everywhere, 1e-9) / FROM_DISC, 0.0)
+        return LightAt(direction, np.minimum(share, MOST), reach, cube.mean(1))
 
     def _interpolated(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Cubes [N, 6, 3] and reaches [N], from the points of the grid around each that are in the open."""

@@ -11,9 +11,11 @@ from typing import TypeVar
 
 from h3data.errors import InputError
 from h3data.progress import progress
+from h3data.render.sheets.scene_map import render_scene
 from h3data.scene.open import NamedScene, named_scenes
 from h3data.scene.sources import SceneSource
 from h3data_training.settings import Settings
+from h3data_training.torch.cameras import lit_home
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.step import refuse_stairs
 from sim_kinematic.motion.randomness import episode_seed
@@ -80,6 +82,10 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
         name, settings.episodes_per_home, seed=seed, spec=rules(settings), robot=settings.robot, human=settings.human
     )
     refuse_stairs(bank.floors, home=name)
+    if settings.light == "baked":  # kept in the cache, where the renderer finds it
+        for home in bank.scenes:
+            drawn = render_scene(home)
+            lit_home(home, drawn.meshes, drawn.instances, range(len(drawn.instances)))
     for floor in bank.floors:
         _ = floor.lattice  # built at first use, and needed on the device
     return bank

@@ -32,7 +32,7 @@ from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
-from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPolicy, save_policy
+from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
@@ -103,25 +103,11 @@ def train(
             f"got {settings.worlds}.",
             code="H3-TRAIN-041",
         )
-    require_light(settings, device)
     job.load_checkpoint()
     with stop_asked() as stop:
         if place is None and processes > 1:
             return launch(_work, processes, replace(job, bank=job.episodes(say)), stop=stop, say=say)
         return _work(job, stop, say)
-
-
-def require_light(settings: Settings, device: str) -> None:
-    """Check that pictures can be rendered in the light of the settings.
-
-    Raises:
-        InputError: the device does not support this light.
-    """
-    if settings.light != "flat" and not device.startswith("cpu"):
-        raise InputError(
-            f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.",
-            code="H3-TRAIN-042",
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,7 +313,6 @@ class _Run:
         """Return the policy that has been learned so far."""
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
-        pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
         kind = VisualPolicy if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(
@@ -335,7 +320,7 @@ class _Run:
                 actions=s.actions,
                 robot=s.robot,
                 observations=s.observations,
-                picture_size=s.picture_size if pictured else None,
+                picture_size=s.picture_size if s.pictured else None,
                 light=s.light,
                 hold=s.hold,
                 network=s.network,

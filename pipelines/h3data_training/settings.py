@@ -8,7 +8,7 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from sim_kinematic.policies.visual_policy import BASE_ACTIONS, PATCH, PICTURES
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, PICTURES, VisualPolicy
 from sim_kinematic.sensing.encodings import DETECTOR, OF_SOCIAL_NAV
 from sim_kinematic.sensing.table import HUMANOID_GPS, PAPER_OBSERVATIONS
 from sim_kinematic.tasks.social_nav import SocialNav
@@ -29,7 +29,7 @@ class Settings:
     picture_size: tuple[int, int] = (64, 48)
     """Width and height [pixels], multiples of 4."""
     light: LightMode = "flat"
-    """Light in ``arm_rgb``: ``flat``, or on a CPU ``baked``. The policy is shown the same wherever it plays."""
+    """Light in ``arm_rgb``: ``flat`` or ``baked``. The policy is shown the same wherever it plays."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = "natural"
@@ -126,15 +126,17 @@ class Settings:
             raise InputError(
                 f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.", code="H3-TRAIN-048"
             )
-        if self.network == "cnn_gru" and any(side < PATCH or side % PATCH for side in self.picture_size):
+        width, height = self.picture_size
+        if self.network == "cnn_gru" and (fault := VisualPolicy.size_fault(self.picture_size)):
             raise InputError(
-                f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.",
-                code="H3-TRAIN-049",
+                f"Expected pictures with sides in {fault} pixels, got {width}x{height}.", code="H3-TRAIN-049"
             )
-        if self.network == "resnet18_lstm" and (min(self.picture_size) < 8 or self.channels[0] % 16):
+        if self.network == "resnet18_lstm" and (
+            not 8 <= min(width, height) <= max(width, height) <= 1024 or self.channels[0] % 16
+        ):
             raise InputError(
-                f"Expected pictures of at least 8 pixels a side and multiples of 16 planes for {self.network}, "
-                f"got {self.picture_size} and {self.channels[0]}.",
+                f"Expected pictures of 8 to 1024 pixels a side and multiples of 16 planes for {self.network}, "
+                f"got {width}x{height} and {self.channels[0]}.",
                 code="H3-TRAIN-050",
             )
         if self.worlds % self.minibatches:
@@ -161,6 +163,11 @@ class Settings:
     def pictures(self) -> tuple[str, ...]:
         """Observations that are pictures, of which the actor may be shown one."""
         return tuple(PICTURES)
+
+    @property
+    def pictured(self) -> bool:
+        """Return whether some of the observations are made of pictures."""
+        return bool({*PICTURES, DETECTOR} & set(self.observations))
 
     @property
     def vector_observations(self) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
             floors=floors,
             views=arm_cameras(self._names),
             size=size,
-            light=self._light or "flat",
+            light=self._light,
         )
 
     def _eager(self) -> None:

@@ -276,6 +276,8 @@ def test_glossy_floors_look_as_on_the_cpu(make, samples):
 
 @pytest.mark.parametrize("samples", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
+    import torch
+
     rng = np.random.default_rng(5)
     scene = RenderScene(
         [room(), textured(ball(), 1)], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
@@ -295,6 +297,10 @@ def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     got = {name: t.cpu().numpy() for name, t in gpu.render(cameras, outputs=OUTPUTS, samples=samples).items()}
     np.testing.assert_array_equal(got["rgb"][0], plain[0])  # of a world without blockers nothing changes
     assert (got["rgb"][1] != plain[1]).any(-1).mean() > 0.2
+    on_device = torch.as_tensor(rows, device=gpu.device), torch.as_tensor(tints, device=gpu.device)
+    gpu.update_shadows(*(t.expand(2, -1, -1) for t in on_device))
+    alike = gpu.render(cameras, outputs=["rgb"], samples=samples)["rgb"].cpu().numpy()
+    np.testing.assert_array_equal(alike, got["rgb"][[1, 1]])
     cpu.set_blockers(Blockers(rows, tints))
     want = cpu.render(cameras[1], outputs=OUTPUTS, samples=samples)
     assert_alike({name: t[1] for name, t in got.items()}, want)
@@ -302,6 +308,9 @@ def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     np.testing.assert_array_equal(gpu.render(cameras, outputs=["rgb"], samples=samples)["rgb"].cpu().numpy(), plain)
     with pytest.raises(InputError, match=r"(?s)2.*H3-RENDER-030"):
         gpu.update_blockers([None])
+    for wrong in (on_device, (t[None] for t in on_device), (on_device[0].expand(2, -1, -1), torch.ones(2, 5, 4))):
+        with pytest.raises(InputError, match="H3-RENDER-100"):
+            gpu.update_shadows(*wrong)
 
 
 def test_textures_and_smooth_edges(make):

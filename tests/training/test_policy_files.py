@@ -168,13 +168,15 @@ def test_it_plays_wherever_a_policy_has_a_name(file: Path, tmp_path: Path, capsy
 
 
 class Eyes:
-    """Keeps the light in which a policy asks for pictures, and shows noise."""
+    """Keeps the light and the size in which a policy asks for pictures, and shows noise."""
 
     def __init__(self) -> None:
         self.lights: list[str] = []
+        self.sizes: list[Any] = []
 
     def __call__(self, names: Any, size: Any, light: str = "flat") -> dict[str, np.ndarray]:
         self.lights.append(light)
+        self.sizes.append(size)
         rgb = np.random.default_rng(0).integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
         return {"arm_rgb": rgb, "humanoid_detector": np.zeros(1, np.float32)}
 
@@ -189,6 +191,7 @@ def asked_light(name: str) -> str:
     )
     VisualNavigation(network)(view, BaseSpec())  # type: ignore[arg-type]
     (light,) = eyes.lights
+    assert eyes.sizes == [network.card.picture_size]
     return light
 
 

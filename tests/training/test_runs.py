@@ -294,6 +294,8 @@ def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, 
         ({"follow_steps": -1}, "H3-TRAIN-052"),
         ({"observations": ("smell",)}, r"(?s)smell.*H3-TRAIN-046"),
         ({"picture_size": (30, 20)}, r"(?s)4.*H3-TRAIN-049"),
+        ({"picture_size": (2048, 20)}, r"(?s)2048x20.*H3-TRAIN-049"),
+        ({"network": "resnet18_lstm", "picture_size": (1028, 20)}, r"(?s)1024.*H3-TRAIN-050"),
         ({"worlds": 3}, r"(?s)minibatches=4.*H3-TRAIN-051"),
         ({"hold": 0}, r"(?s)hold.*1.*H3-TRAIN-039"),
         ({"minutes": 0.0}, "H3-TRAIN-038"),
@@ -330,8 +332,16 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert main(["train", "social_nav", *options, "--dry-run"]) == 0
     coloured = json.loads(capsys.readouterr().out)
     assert coloured["settings"]["light"] == "flat"
-    assert main(["train", "social_nav", "--light", "baked", "--device", "cuda", *options]) == 2
-    assert "colours are in flat light. Hint: --light flat, or --device cpu" in capsys.readouterr().out
+    lit = ["--light", "baked", "--size", "96x72", "--device", "cuda", *options]
+    assert main(["train", "social_nav", *lit, "--dry-run"]) == 0
+    lit_plan = json.loads(capsys.readouterr().out)
+    assert (lit_plan["settings"]["light"], lit_plan["settings"]["picture_size"]) == ("baked", [96, 72])
+    assert lit_plan["rollout_bytes"] - coloured["rollout_bytes"] == 131072 * (96 * 72 - 64 * 48) * 3 * 2
+    for size, code in (("96x70", "TRAIN-049"), ("2048x64", "TRAIN-049"), ("96", "RENDER-085"), ("0x0", "RENDER-085")):
+        assert main(["train", "social_nav", "--size", size, *options]) == 2
+        assert f"H3-{code}" in capsys.readouterr().out
+    assert main(["train", "social_nav", "--size", "96x72", "--json", "-o", str(tmp_path / "n")]) == 2
+    assert "an observation that needs a picture" in capsys.readouterr().out
     assert main(["train", "social_nav", "--light", "baked", "--dry-run", "-o", str(tmp_path / "n")]) == 2
     assert "Light makes no difference to depth" in capsys.readouterr().err
     more = coloured["rollout_bytes"] - plan["rollout_bytes"]

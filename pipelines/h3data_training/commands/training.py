@@ -71,6 +71,7 @@ class Train:
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --device cuda --scenes h3-homes/train,h3-homes-v2/train -o out/both
+        h3data train social_nav --recipe fast --device cuda --observations arm_rgb --light baked --size 96x72 -o out/rgb
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
         h3data train rearrange --recipe paper --population learn_pop --worlds 20 --device cuda -o out/paper
@@ -128,8 +129,12 @@ class Train:
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
     """Observations of the robot."""
     light: Annotated[LightMode | None, FOLLOWING] = None
-    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
-    The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
+    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which takes seconds for
+    each home that is lit for the first time. The policy's card says it, and it is shown the same wherever it plays (default:
+    flat)."""
+    size: Annotated[str | None, BY_PPO] = None
+    """Size of the pictures that the robot observes, such as 96x72, with sides in multiples of 4 up to 1024. The policy's card
+    says it, and it is shown the same wherever it plays (default: 64x48, paper 224x171, tiny 32x24)."""
     worlds: Annotated[int | None, WORLDS] = None
     """Worlds that are stepped at once."""
     action_repeat: Annotated[int | None, BY_PPO] = None
@@ -186,10 +191,9 @@ class Train:
 
     def _train_by_ppo(self) -> Outcome:
         from h3data_training.ranks import torchrun_place
-        from h3data_training.run import describe, require_light, train
+        from h3data_training.run import describe, train
 
         name, settings = self._settings()
-        require_light(settings, self.device)
         first = None if self.warm_start is None else _first(self.warm_start)
         if first is not None:
             settings = settings.second_stage()
@@ -222,6 +226,7 @@ class Train:
 
     def _settings(self) -> tuple[str, Settings]:
         """Return the recipe's name and the settings of social navigation or a skill."""
+        from h3data.replay.cameras import parse_size
         from h3data_training.settings import recipe
         from h3data_training.skills.settings import skill_recipe
 
@@ -236,11 +241,20 @@ class Train:
             "rollout": self.rollout,
             "minibatches": self.minibatches,
             "light": self.light,
+            "picture_size": None if self.size is None else parse_size(self.size),
         }
         name = self.recipe or "tiny"
         if self.task == "skill":
-            return name, skill_recipe(name, self.skill, **changes)
-        return name, recipe(name, **changes, walk=self.rules, follow_steps=self.follow_steps)
+            settings: Settings = skill_recipe(name, self.skill, **changes)
+        else:
+            settings = recipe(name, **changes, walk=self.rules, follow_steps=self.follow_steps)
+        if self.size is not None and not settings.pictured:
+            raise InputError(
+                f"Expected an observation that needs a picture for pictures of {self.size}, got "
+                f"{', '.join(settings.observations)}. Hint: --observations arm_depth,humanoid_detector,humanoid_gps.",
+                code="H3-TRAIN-082",
+            )
+        return name, settings
 
     @property
     def _scenes(self) -> str | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -29,15 +28,11 @@ if TYPE_CHECKING:
     from h3data_training.torch.cameras import TensorCameras
     from h3data_training.torch.episodes import EpisodeBank
 
-log = logging.getLogger(__name__)
-
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
 """Observations that need a picture, and so a GPU."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
 """Outputs of the arm's depth camera from which the observations are made."""
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
-ASKED = "Hint: light='flat' asks for it."
-NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
 EPISODES = 512
 """Default number of episodes in the bank, which take some seconds to sample."""
 
@@ -96,7 +91,7 @@ class TaskTorchEnv(TorchEnv[Play]):
         spec: Any = None,
         end_on_success: bool = False,
         depth_size: tuple[int, int] | None = None,
-        light: LightMode | None = None,
+        light: LightMode = "baked",
         episodes: int | EpisodeBank = EPISODES,
         episodes_seed: int = 0,
         robot: str = "quad_arm",
@@ -116,8 +111,8 @@ class TaskTorchEnv(TorchEnv[Play]):
             spec: rules; by default those of the task's environments.
             end_on_success: whether success ends an episode even where the task goes on.
             depth_size: width and height of pictures [px]; None is that of the robot's camera.
-            light: light in ``arm_rgb``: ``flat``, the only one on devices. None means flat too, with a warning, since
-                environments on the CPU have baked light.
+            light: light in ``arm_rgb``, as in environments without a device: ``baked``, which is computed once for each home
+                and kept in a cache, or ``flat``.
             episodes: number of episodes in the bank, or a bank.
             episodes_seed: seed of the run whose first episodes these are.
             robot: name of a built-in robot.
@@ -145,9 +140,8 @@ class TaskTorchEnv(TorchEnv[Play]):
         self.sim = self._make_worlds(
             device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
         )
-        if light is not None:
-            check_light(light)
-        self._light: LightMode | None = light
+        check_light(light)
+        self._light: LightMode = light if "arm_rgb" in self._names else "flat"
         pictured = bool(set(PICTURED) & set(observations))
         self._cameras = self._make_cameras(depth_size, compile=self._compiles, **bodies) if pictured else None
         self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
@@ -214,12 +208,6 @@ class TaskTorchEnv(TorchEnv[Play]):
         return self.sim.observations([name for name in self._names if name not in PICTURED], self.play)
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
-        if "arm_rgb" in self._names and self._light == "baked":
-            raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
-        if "arm_rgb" in self._names and self._light is None:
-            log.warning(
-                "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
-            )
         return cameras_of(
             self.bank,
             load_robot(robot),
@@ -228,6 +216,7 @@ class TaskTorchEnv(TorchEnv[Play]):
             worlds=self.num_envs,
             views=arm_cameras(self._names),
             size=size,
+            light=self._light,
             device=self.device,
             compile=compile,
         )

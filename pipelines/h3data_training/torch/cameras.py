@@ -13,7 +13,9 @@ from torch import Tensor
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
-from h3data.render import Output, RenderInstance, RenderScene, pinhole
+from h3data.progress import progress
+from h3data.render import Light, Output, RenderInstance, RenderScene, pinhole
+from h3data.render.light.sources import BAKERS, LightMode, check_light, sources_of
 from h3data.render.sheets.scene_map import render_scene
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
 from h3data.scene import Mesh, Scene
@@ -21,18 +23,20 @@ from h3data_training.torch.cycle import WalkingCycle
 from h3data_training.torch.graph import fused
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.motion.spec import WalkerSpec
-from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID
+from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID, recorded_matrix
 from sim_kinematic.sensing.sensor import HUMAN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from h3data_gpu import GpuRenderer, GpuScene
+    from h3data_light.bake import LitScene
 
 HUMAN = "human"
 """The view between a person's eyes; others have the names of the robot's cameras."""
-NEAREST_M = 0.6
-"""Distance below which people are seldom from a camera [m]; one mesh has to do for all worlds."""
+NEAREST_M = 0.9
+"""Distance below which people are seldom from a camera [m], as a robot that follows keeps more. One mesh has to do for all
+worlds."""
 
 
 class TensorCameras:
@@ -50,6 +54,7 @@ class TensorCameras:
         views: Sequence[str] = ("robot_arm",),
         size: tuple[int, int] | None = None,
         hfov_deg: float | None = None,
+        light: LightMode = "flat",
         device: torch.device | str = "cuda",
         compile: bool = False,
         renderer: Callable[..., GpuRenderer] | None = None,
@@ -68,12 +73,13 @@ class TensorCameras:
                 `HUMAN`.
             size: width and height of all pictures [px]; None is that of the first of the robot's cameras.
             hfov_deg: horizontal field of view of the robot's cameras, instead of their own.
+            light: light in colours: that of each home, which is baked for a home that is lit for the first time, or ``flat``.
             device: the GPU.
             compile: whether one kernel computes the frames of links and joints (`h3data_training.torch.graph.fused`).
             renderer: makes the renderer; by default `GpuRenderer`.
 
         Raises:
-            InputError: there is no GPU, or no such camera.
+            InputError: there is no GPU or no such camera, or no light reaches one of the homes.
         """
         if not views:
             raise InputError("Expected at least one view.", code="H3-TRAIN-058")
@@ -96,11 +102,14 @@ class TensorCameras:
         if HUMAN in self.views:
             self._lenses[HUMAN] = pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M)
         focal = max(lens.fx for lens in self._lenses.values())
-        stages = [_stage(home, robot, human, light=human.light_enough(focal, NEAREST_M)) for home in homes]
+        low = human.light_enough(focal, NEAREST_M)
+        stages, lamps = zip(*_stages(homes, robot, human, low_detail=low, light=light), strict=True)
         links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
         if renderer is None:
             from h3data_gpu import GpuRenderer as renderer
-        self.renderer = renderer(stages, width=width, height=height, worlds=worlds, device=device)
+        self.renderer = renderer(
+            stages, width=width, height=height, worlds=worlds, light=light_of_all(homes, lamps), device=device
+        )
         self._eyes: dict[str, Tensor] = {}
         """Poses of the cameras as last posed, [W, 3, 4] each."""
 
@@ -116,6 +125,12 @@ class TensorCameras:
         head = joints[:, human.joint_names.index("head")] @ HEAD_POSE
         self._person = on_device(np.concatenate([joints, head[:, None]], 1))
         self._frames = fused(self._frames_of) if compile else self._frames_of
+        self._cast: Callable[..., tuple[Tensor, Tensor]] | None = None
+        if all(lit is not None and lit.baked for lit in lamps):
+            from h3data_training.torch.light import AgentLight
+
+            agents = AgentLight(lamps, robot, human, device=self.renderer.device)
+            self._cast = fused(agents.cast) if compile else agents.cast
 
     def observe(
         self,
@@ -139,6 +154,9 @@ class TensorCameras:
         parts, joints = self._frames(robot, human)
         self.renderer.update_poses(parts[:, : self._links])
         self.renderer.update_joints(joints[:, :-1])
+        if self._cast is not None:
+            homes = self.renderer._held["scene_of_world"].long()
+            self.renderer.update_shadows(*self._cast(parts[:, : self._links], joints[:, :-1], homes))
         robots = [view for view in self.views if view != HUMAN]
         self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
 
@@ -165,19 +183,50 @@ class TensorCameras:
         return parts, in_world(posture, human.xz.float(), human.heading.float(), self._floor_y)
 
 
-def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
-    """Return a home with one robot and one person in it. Robot and person have the same slots in all homes."""
+def _stages(
+    homes: Sequence[Scene], robot: Robot, human: Humanoid, *, low_detail: bool, light: LightMode
+) -> Iterator[tuple[GpuScene, LitScene | None]]:
+    """Yield homes with one robot and one person in them, and their baked light. Robot and person have the same slots in all."""
     from h3data_gpu import GpuScene
 
-    skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)
-    meshes, instances, links = with_robot(scene, robot)
-    person = len(meshes)
-    instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
-    return GpuScene(
-        RenderScene([*meshes, worn], instances, deformable=[person]),
-        moving=links,
-        skins={person: (skin, human.inverse_bind)},
-    )
+    check_light(light)
+    skin, worn = (human.lod, human.lod_mesh) if low_detail else (human.full, human.mesh)
+    for scene in progress(homes, desc="rendered homes", unit="home", delay=1.0, leave=False):
+        meshes, instances, links = with_robot(scene, robot)
+        person, lit = len(meshes), None
+        meshes.append(worn)
+        instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+        if light == "baked":
+            lit = lit_home(scene, meshes, instances, range(links.start))
+            meshes, instances = lit.meshes, lit.instances
+        drawn = RenderScene(meshes, instances, deformable=[person], mirrors=lit.mirrors if lit else None)
+        yield GpuScene(drawn, moving=links, skins={person: (skin, human.inverse_bind)}), lit
+
+
+def lit_home(
+    scene: Scene, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], static: Sequence[int]
+) -> LitScene:
+    """Return a home in its baked light, which is the same, and in the same cache, as that of pictures by the CPU."""
+    there = {i.name: recorded_matrix(i) for i in scene.instances}
+    placed = list(instances)
+    for k in static:
+        placed[k] = replace(placed[k], matrix=there[placed[k].name])
+    return BAKERS.get("baked")(meshes, placed, static, sources_of(scene), name=scene.name)
+
+
+def light_of_all(homes: Sequence[Scene], lamps: Sequence[LitScene | None]) -> Light | None:
+    """Return the light that a renderer of all homes has.
+
+    Raises:
+        InputError: some homes are lit, and others are not.
+    """
+    dark = [home.name for home, lit in zip(homes, lamps, strict=True) if lit is not None and not lit.baked]
+    if dark and len(dark) < len(homes):
+        raise InputError(
+            f"No light reaches {', '.join(dark[:5])}, but other homes are lit. Hint: light='flat', or leave it out.",
+            code="H3-ENV-057",
+        )
+    return lamps[0].light if lamps[0] is not None else None
 
 
 def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInstance], range]:

@@ -104,12 +104,13 @@ def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest
 
 
 @pytest.mark.slow
-def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("light", ["flat", "baked"])
+def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytest.MonkeyPatch, light: Any) -> None:
     """On the device as in the training worlds of a machine without one, where the CPU renders."""
     name, renderer = device
     monkeypatch.setattr("h3data_gpu.GpuRenderer", renderer)
     shown: Any = ("arm_rgb", "humanoid_detector", "humanoid_gps")
-    settings = small(picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown)
+    settings = small(picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown, light=light)
     homes = ("small:1", "h3-homes-v2/train#0")
     bank = EpisodeBank.merged([EpisodeBank.draw(home, 1, seed=k, spec=rules(settings)) for k, home in enumerate(homes)])
     env = SocialNavTorchEnv(
@@ -120,6 +121,7 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
         spec=rules(settings),
         episodes=bank,
         depth_size=SIZE,
+        light=light,
     )
     worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     seen, info = env.reset(seed=1)
