@@ -33,8 +33,10 @@ Episode = Any
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
     # by their number among people: the first one walks the same way, whoever else is there
     nth = number - sum(member.kind == "robot" for member in episode.roster)
-    seed = episode.seed if nth <= 0 else episode_seed(episode.seed, nth)
-    return WaypointPolicy(episode.free, seed, episode.spec.human)
+    if nth > 0:
+        return WaypointPolicy(episode.free, episode_seed(episode.seed, nth), episode.spec.human)
+    # an episode of a file may say where the first one goes
+    return WaypointPolicy(episode.free, episode.seed, episode.spec.human, episode.extra.get("human_goals", ()))
 
 
 def _wander(task: Task, episode: Episode, number: int) -> Policy:
