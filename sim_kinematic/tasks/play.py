@@ -21,8 +21,9 @@ from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.control import Columns
 from sim_kinematic.tasks.episode import Episode, StepOutcome
-from sim_kinematic.tasks.team import Columns, resting_arm
+from sim_kinematic.tasks.motion import resting_arm
 from sim_kinematic.world import (
     Command,
     World,
@@ -128,7 +129,7 @@ class WorldRollout:
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
         self.team: Any = task.control.team(self)
-        """Controllers of the agents (`sim_kinematic.tasks.team.Team`)."""
+        """Controllers of the agents (`sim_kinematic.tasks.control.Team`)."""
         self._checked, self._checks = False, measure and not task.control.has_skills
         self._judgement: dict[str, type] = {}
         """Columns of the judgement that are recorded, with their dtypes."""

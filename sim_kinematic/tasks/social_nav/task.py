@@ -30,8 +30,9 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.control import Control, VelocityControl
+from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor, sample_pair_starts
+from sim_kinematic.tasks.motion import VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile

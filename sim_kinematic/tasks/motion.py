@@ -1,94 +1,232 @@
-"""Agents of a rollout: their controllers, the order in which they act, their observations, and the columns of their steps."""
+"""Agents who drive and walk: the form of their choices, the commands that carry these out, and what is recorded of them."""
 
 from __future__ import annotations
 
-import weakref
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.recording import Event
+from h3data.recording import Event, Recording
 from h3data.recording.records import JOINTS
 from h3data.scene.articulation import joints_of
 from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.controllers.motion import MotionController
-from sim_kinematic.motion.state import RobotState
-from sim_kinematic.policies.assignment import works
+from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
+from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, Still, Velocity, WaypointAction
+from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.sensing.sensor import first_point
 from sim_kinematic.sensing.table import Sensor, SensorContext, sensed
-from sim_kinematic.tasks.episode import agent_floor
-from sim_kinematic.world import Command, DriveCommand
+from sim_kinematic.tasks.control import Columns, Control, Team
+from sim_kinematic.tasks.episode import Episode, agent_floor
+from sim_kinematic.world import (
+    Command,
+    DriveCommand,
+    GaitCommand,
+    PoseCommand,
+    Posture,
+    RecordedPoseCommand,
+    WaypointCommand,
+    World,
+)
 
-Columns = dict[str, NDArray[Any]]
+
+class VelocityControl(Control):
+    """Control of agents that drive and walk by velocities, way points or places."""
+
+    def team(self, play: Any) -> Team:
+        """Return the agents of W worlds, which are moved together."""
+        return MotionTeam(play)
+
+    def checked(self, play: Any, number: int, choice: Any) -> Any:
+        """Return a velocity from a pair, or from anything with ``forward`` and ``turn``.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        del play, number
+        try:
+            if not hasattr(choice, "forward") and np.shape(choice) == (2,):
+                choice = Velocity(float(choice[0]), float(choice[1]))
+            is_finite = math.isfinite(choice.forward) and math.isfinite(choice.turn)
+        except (AttributeError, TypeError, ValueError):
+            raise InputError(
+                f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064"
+            ) from None
+        if not is_finite:
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
+        return choice
+
+    def accepted(self, play: Any, number: int, choice: Any) -> Any:
+        """Return a velocity as `checked`, or a way point, a place, a gait or a recorded pose.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        if isinstance(choice, GaitAction):
+            return choice
+        if not isinstance(choice, WaypointAction | PoseAction | RecordedPose):
+            return self.checked(play, number, choice)
+        place = np.append(choice.xz, getattr(choice, "heading", 0.0))
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise InputError(f"Expected a place of 2 finite numbers [m], got {choice!r}.", code="H3-TASK-082")
+        return choice
+
+    def idle(self, play: Any, number: int, last: Any) -> Any:
+        """Return the choice that keeps the agent as it is."""
+        del play, number
+        return Velocity(0.0, 0.0) if last is None else last
+
+    def to_json(self, choice: Any) -> Any:
+        """Return a velocity as JSON types."""
+        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
+
+    def from_json(self, data: Any) -> Any:
+        """Return the velocity that `to_json` wrote."""
+        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
+
+    def needed_columns(self, recording: Recording) -> list[str]:
+        """Return the columns of the velocities of robots, and of the skills that they report."""
+        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
+        names = ("action", "skill") if self.skills.get("robot") else ("action",)
+        return [f"agent_{k}.{name}" for k in robots for name in names]
+
+    def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
+        """Return the robots, and the people who were controlled from outside."""
+        commanded = recorded_commands(recording, self.from_json)
+        decided = {
+            k
+            for k, agent in enumerate(recording.agents)
+            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
+        }
+        # agents that wander make way for each other, so one of them can only decide again if the others do too
+        wanderers = {k for k, name in enumerate(names) if name == "wander"}
+        return decided if wanderers <= decided else decided - wanderers
+
+    def still(self, episode: Episode, number: int) -> Any:
+        """Return a policy that stands still."""
+        del episode, number
+        return Still()
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        """Return policies that repeat the recorded velocities.
+
+        A scripted person has no recorded decisions: its own policy decides again.
+        """
+        commands, policies = recorded_commands(recording, self.from_json), []
+        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
+            policy = assigned.policy
+            if member.kind == "robot" or k in commands:
+                # the policy that drove so far is asked about the past, to have its memory; a new one is not
+                first = until if changed and changed[k] else min(since, until)
+                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
+            elif policy is None:
+                raise InputError(
+                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
+                    "from outside: nothing says how they decided.",
+                    code="H3-TASK-066",
+                )
+            policies.append(assigned._replace(policy=policy))
+        return policies
+
+    def keep_people(
+        self, play: Any, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """Let people follow their recorded places and postures from the first step on."""
+        del since
+        for k, member in enumerate(play.episode.roster):
+            if member.kind == "human":
+                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
+        return {}, None
 
 
-class Team(ABC):
-    """Base class of the agents of a rollout; ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
+class MotionController:
+    """Controller of one agent in each world, which chooses in every step."""
 
-    def __init__(self, play: Any) -> None:
-        # no circle of references: policies with open connections are freed with the last use of their rollout
-        self.play: Any = weakref.proxy(play)
-        self.controllers: Sequence[Any] = ()
-        """A controller for each agent (`sim_kinematic.controllers`)."""
-        self.order: Sequence[int] = range(len(play.world.roster))
-        """Numbers of the agents in the order in which they act."""
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self.status: Literal["choosing", "acting"] = "choosing"
+        self.word = ""
+        """Word by which the agent of the first world reports what it is doing."""
+        self._choices: Sequence[Any] = ()
 
-    @abstractmethod
-    def begin(self, rows: NDArray[np.intp]) -> None:
-        """Begin episodes in the worlds ``rows`` [n]."""
+    def begin(self, step: int) -> None:
+        """Begin a step, in which the agent has to choose."""
+        del step
+        self.status = "choosing"
 
-    def begin_step(self) -> None:
-        """Begin a step of the only world."""
-        for controller in self.controllers:
-            controller.begin(self.play.step)
+    def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Any]) -> None:
+        """Take over the choices of a step."""
+        del world, agent, rows
+        self._choices, self.word, self.status = action, getattr(action[0], "skill", ""), "acting"
 
-    def begin_turn(self, number: int) -> None:  # noqa: B027
-        """Prepare an agent before it is asked or moved."""
+    def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> Command:
+        """Return the command that carries the choices out.
 
-    def end_turn(self, number: int) -> None:  # noqa: B027
-        """Update the team after an agent has made its step."""
+        Raises:
+            InputError: A choice is of no known kind.
+        """
+        del world, agent, rows
+        return command_of(self._choices, self._name)
 
-    @abstractmethod
-    def move(self, commands: Sequence[Command | None]) -> None:
-        """Complete a step by one command for each agent, None for agents that their controllers have moved."""
 
-    def finish(self) -> None:  # noqa: B027
-        """Close what is still going on, such as running skills."""
+def command_of(choices: Sequence[Any], name: str) -> Command:
+    """Return the command for an agent of W worlds from its choices, all of one kind.
 
-    @abstractmethod
-    def view(self, agent: int, world: int) -> Any:
-        """Return the observation of an agent's policy, for any task."""
+    Velocities are rounded to float32, as they are recorded. ``name`` is the agent's, for the error.
 
-    @abstractmethod
-    def exact(
-        self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
-    ) -> dict[str, Array]:
-        """Return the named observations as they are, [W, n] each; rows of the teams ``beside`` follow this team's."""
+    Raises:
+        InputError: A choice is of no known kind.
+    """
+    first = choices[0]
+    if isinstance(first, WaypointAction):
+        return WaypointCommand(_rows([choice.xz for choice in choices]))
+    if isinstance(first, PoseAction):
+        headings, seats = (
+            np.array([choice.heading for choice in choices]),
+            np.array([choice.seat for choice in choices]),
+        )
+        return PoseCommand(_rows([choice.xz for choice in choices]), headings, seats)
+    if isinstance(first, GaitAction):
+        if len(choices) == 1:
+            return GaitCommand(first.gait)
+        gait = HumanState.zeros(len(choices))
+        for w, choice in enumerate(choices):
+            gait.put([w], choice.gait)
+        return GaitCommand(gait)
+    if isinstance(first, RecordedPose):
+        parts = ([getattr(choice, part) for choice in choices] for part in Posture._fields)
+        posture = Posture(*map(np.array, parts))
+        return RecordedPoseCommand(
+            _rows([choice.xz for choice in choices]), np.array([c.heading for c in choices]), posture
+        )
+    if not hasattr(first, "forward"):
+        raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
+    # rounded, so that a replay of the recorded velocities moves the agent by the same bits
+    return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices], np.float32).astype(np.float64))
 
-    @abstractmethod
-    def scenery(self, world: int) -> dict[str, Any]:
-        """Return the arguments of `sim_kinematic.sensing.eyes.see` that describe the present state of a world."""
 
-    def new_events(self) -> Sequence[Event]:
-        """Return events of agents of the first world in the last step, beyond those that the task judges."""
-        return ()
-
-    @abstractmethod
-    def snapshot(self) -> Any:
-        """Return the step just played in the first world, as `columns` takes it."""
-
-    @abstractmethod
-    def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Return columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
+def _rows(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return vectors [2] of W worlds as rows [W, 2]."""
+    # for one world a view takes a tenth of the time
+    return values[0][None] if len(values) == 1 else np.array(values)
 
 
 class MotionTeam(Team):
