@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import check_groups, read_role, routines
@@ -223,7 +222,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         return lambda episode, number: AssignedPolicy(choice, type(choice).__name__, kind)
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
-        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, agent_base(episode, number)), name, kind)
+        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, episode.bases[number]), name, kind)
     raise InputError(
         f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
     )
@@ -305,5 +304,5 @@ def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
         return made
     # a function of two arguments is a policy itself; factories take three
     if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
-        return FunctionPolicy(made, agent_base(episode, number))
+        return FunctionPolicy(made, episode.bases[number])
     return made(task, episode, number)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache, partial
+from functools import cached_property, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
 from sim_kinematic.agents.stands import discs_fit
-from sim_kinematic.avoidance.robot_base import agent_base, floor_of
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, SocialNavSpec, WalkerSpec
 
@@ -65,6 +65,16 @@ class Episode:
     def only(self, *numbers: int) -> Self:
         """Return the episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
+
+    @cached_property
+    def bases(self) -> tuple[BaseSpec, ...]:
+        """Discs and limits of each agent: a robot's own; for a person, whom no base limits, those of the rules."""
+        return tuple(base_of(member.body, self.spec.robot) for member in self.roster)
+
+    def floor(self, agent: int) -> FreeSpace:
+        """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+        body = self.roster[agent].body
+        return floor_of(body, self.bases[agent], self.scene, self.free) if isinstance(body, Robot) else self.free
 
     @property
     def moving(self) -> dict[str, Array]:
@@ -145,15 +155,6 @@ def sample_pair_starts(
         f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home.",
         code="H3-TASK-048",
     )
-
-
-@lru_cache(maxsize=256)
-def agent_floor(episode: Episode, number: int) -> FreeSpace:
-    """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
-    body = episode.roster[number].body
-    if not isinstance(body, Robot):
-        return episode.free
-    return floor_of(body, agent_base(episode, number), episode.scene, episode.free)
 
 
 @dataclass(frozen=True, kw_only=True)

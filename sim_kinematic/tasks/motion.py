@@ -27,7 +27,7 @@ from sim_kinematic.policies.views import AgentView
 from sim_kinematic.sensing.sensor import first_point
 from sim_kinematic.sensing.table import Sensor, SensorContext, sensed
 from sim_kinematic.tasks.control import Columns, Control, Team
-from sim_kinematic.tasks.episode import Episode, agent_floor
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.world import (
     Command,
     DriveCommand,
@@ -275,7 +275,7 @@ class MotionTeam(Team):
             episode.seed,
             agent,
             tuple(member.kind for member in play.world.roster),
-            agent_floor(episode, agent),
+            episode.floor(agent),
             places,
             was,
             play.world.bases,
@@ -289,7 +289,7 @@ class MotionTeam(Team):
     def _traffic_of(self, world: int) -> Traffic:
         """Return the traffic of one world, made when an agent that wanders first asks for it."""
         if world not in self._traffic:
-            floors = [agent_floor(self.play.episodes[world], number) for number in range(len(self.play.world.roster))]
+            floors = [self.play.episodes[world].floor(number) for number in range(len(self.play.world.roster))]
             self._traffic[world] = Traffic(self.play.world, world, floors)
         return self._traffic[world]
 

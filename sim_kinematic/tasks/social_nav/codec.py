@@ -22,7 +22,6 @@ from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode,
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy
@@ -267,5 +266,5 @@ def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
     # by the limits of the robot itself, which may be slower than the rules allow
     x, z, heading = episode.starts[ROBOT]
     return oracle_min_steps(
-        episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT))
+        episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=episode.bases[ROBOT])
     )

@@ -19,7 +19,6 @@ from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
@@ -31,7 +30,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.control import Control
-from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor, sample_pair_starts
+from sim_kinematic.tasks.episode import Episode, StepOutcome, sample_pair_starts
 from sim_kinematic.tasks.motion import VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
@@ -126,12 +125,12 @@ class SocialNav(Task):
             def learned(episode: Episode, number: int) -> AssignedPolicy:
                 with naming(name):
                     player = navigation_of(network, SocialNav.name, robot=episode.roster[number].model)
-                return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+                return AssignedPolicy(FunctionPolicy(player, episode.bases[number]), stamped(name), kind)
 
             return learned
         if kind == "robot" and name in EXPERTS:
             return lambda episode, number: AssignedPolicy(
-                Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind
+                Maneuvering(POLICIES[name], episode.bases[number]), name, kind
             )
         return None
 
@@ -144,7 +143,7 @@ class SocialNav(Task):
         was, was_person = play.world.before.agents
         episode, step = play.episodes[world], int(play.steps[world])
         return SocialNavView(
-            agent_floor(episode, ROBOT),
+            episode.floor(ROBOT),
             robot.xz[world].copy(),
             float(robot.heading[world]),
             person.xz[world].copy(),
