@@ -36,9 +36,9 @@ class Team(ABC):
         self.controllers: Sequence[Any] = ()
         """A controller for each agent.
 
-        In every step `begin` is called first. While ``status`` is ``choosing``, a choice of the policy is given to
-        ``start(world, agent, rows, choices)``, and ``step(world, agent, rows)`` returns the command of this step, or None if
-        the agent has been moved already or has to choose once more. ``rows`` [n] are the worlds concerned.
+        In every step ``begin(step)`` is called first. While ``status`` is ``choosing``, a choice of the policy is given to
+        ``start(choice)``. Then ``step()`` returns the command of this step, or None if the agent has been moved already or
+        has to choose once more.
         """
         self.order: Sequence[int] = range(len(play.world.roster))
         """Numbers of the agents in the order in which they act."""

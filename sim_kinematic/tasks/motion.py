@@ -36,7 +36,6 @@ from sim_kinematic.world import (
     Posture,
     RecordedPoseCommand,
     WaypointCommand,
-    World,
 )
 
 
@@ -158,33 +157,31 @@ class VelocityControl(Control):
 
 
 class MotionController:
-    """Controller of one agent in each world, which chooses in every step."""
+    """Controller of one agent of the only world, which chooses in every step."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self.status: Literal["choosing", "acting"] = "choosing"
         self.word = ""
-        """Word by which the agent of the first world reports what it is doing."""
-        self._choices: Sequence[Any] = ()
+        """Word by which the agent reports what it is doing."""
+        self._choice: Any = None
 
     def begin(self, step: int) -> None:
         """Begin a step, in which the agent has to choose."""
         del step
         self.status = "choosing"
 
-    def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Any]) -> None:
-        """Take over the choices of a step."""
-        del world, agent, rows
-        self._choices, self.word, self.status = action, getattr(action[0], "skill", ""), "acting"
+    def start(self, choice: Any) -> None:
+        """Take over the choice of a step."""
+        self._choice, self.word, self.status = choice, getattr(choice, "skill", ""), "acting"
 
-    def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> Command:
-        """Return the command that carries the choices out.
+    def step(self) -> Command:
+        """Return the command that carries the choice out.
 
         Raises:
-            InputError: A choice is of no known kind.
+            InputError: The choice is of no known kind.
         """
-        del world, agent, rows
-        return command_of(self._choices, self._name)
+        return command_of([self._choice], self._name)
 
 
 def command_of(choices: Sequence[Any], name: str) -> Command:
