@@ -10,6 +10,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.recording.mcap.log": "h3data.recording.mcap.writer",
     "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav.codec",
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.crowd.routines": "h3data_crowds.routines",
