@@ -29,7 +29,6 @@ from h3data.recording.mcap.header import (
     episode_metadata,
     header_metadata,
     log_time,
-    scene_dict,
     start_time,
 )
 from h3data.recording.mcap.part import PartFile, part_path, publish
@@ -57,9 +56,6 @@ from h3data.recording.storage import AnyPath, RemotePath, local, open_binary, pl
 
 CHUNK_BYTES = 4 << 20
 """Largest uncompressed size of a chunk."""
-FLUSH_ROWS = 30
-"""Number of rows between flushes: one second at 30 steps/s."""
-FLUSH_S = 1.0
 
 
 class RecordingWriter:
@@ -67,8 +63,8 @@ class RecordingWriter:
 
     As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
     ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every
-    ``flush_rows`` rows or ``flush_s`` seconds. What the disk does not take stays in memory: after an error of the disk, `flush`
-    and `close` can be called again when there is space, and nothing is lost.
+    ``flush_rows`` rows (30 are one second) or ``flush_s`` seconds. What the disk does not take stays in memory: after an error
+    of the disk, `flush` and `close` can be called again when there is space, and nothing is lost.
 
     A file that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
     final name, reads it back and replaces it by the file `write_mcap` would make of it (`pack_mcap`). Pass ``compact=False`` to
@@ -84,8 +80,8 @@ class RecordingWriter:
         t0_unix_ns: int | None = None,
         share_in: str | os.PathLike[str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
-        flush_rows: int = FLUSH_ROWS,
-        flush_s: float = FLUSH_S,
+        flush_rows: int = 30,
+        flush_s: float = 1.0,
         compact: bool = True,
     ) -> None:
         """Create ``<path>.part`` and write everything known before the first step.
@@ -115,7 +111,8 @@ class RecordingWriter:
         self._flushed_at = time.monotonic()
         # made before the file is: a header that cannot be stored leaves nothing behind
         metadata = header_metadata(header)
-        scene = encode_record("h3.Scene", scene_dict(header))
+        records = {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
+        scene = encode_record("h3.Scene", records)
         self._file = PartFile(self.path, overwrite=overwrite)
         try:
             shared = {} if share_in is None else share_files(header.attachments, local(share_in), self.path)
