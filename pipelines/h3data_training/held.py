@@ -66,7 +66,7 @@ class ActionRepeat:
         """Return observations of the last step, in tensors of their own."""
         return {name: tensor.clone() for name, tensor in self._shown.items()}
 
-    def _begin(self, seed: Sequence[int]) -> None:
+    def _begin(self, seed: int | Sequence[int]) -> None:
         """Let the next step begin an episode in each world, at the place in the bank that follows from its seed."""
         if self.device.type == "cuda" and self._advance == self._eager:
             self._advance = captured(self._eager, list(self.play.tensors()))

@@ -88,7 +88,7 @@ class ActionRepeatEnv(ActionRepeat):
             light=self._light,
         )
 
-    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    def reset(self, *, seed: int | Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Begin an episode in all worlds, each at the place in the bank that follows from its seed, and do nothing at first."""
         with enough_memory(self.device, self.num_envs, self.sim.task.name), torch.no_grad():
             self._begin(seed)
