@@ -40,7 +40,7 @@ from sim_kinematic.world import (
 
 
 class VelocityControl(Control):
-    """Control of agents that drive and walk by velocities, way points or places."""
+    """Control of agents that drive and walk by velocities, waypoints or places."""
 
     def team(self, play: Any) -> Team:
         """Return the agents of W worlds, which are moved together."""
@@ -66,7 +66,7 @@ class VelocityControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity as `checked`, or a way point, a place, a gait or a recorded pose.
+        """Return a velocity as `checked`, or a waypoint, a place, a gait or a recorded pose.
 
         Raises:
             InputError: it is malformed.
@@ -358,14 +358,14 @@ class MotionTeam(Team):
             "speed_mps": play.spec.human.speed_mps,
         }
 
-    def snapshot(self) -> list[float]:
-        """Place, motion, command and word of each agent, as plain numbers."""
-        numbers: list[float] = []
+    def snapshot(self) -> list[Sequence[float]]:
+        """Return plain numbers: place, motion, command and word of each agent, hands of some people, joints and things."""
+        parts: list[Sequence[float]] = []
         world, skills = self.play.world, self.play.task.control.skills
         # all people at once, and Python floats, which take half the time of NumPy's
         now, was = world.people, world.people_before.distance[:: world.worlds].tolist()
-        parts = (now.xz, now.heading, now.distance, now.set_off, now.blend, now.arms, now.seat)
-        people = zip(*(part[:: world.worlds].tolist() for part in parts), was, strict=True)
+        pose = (now.xz, now.heading, now.distance, now.set_off, now.blend, now.arms, now.seat)
+        people = zip(*(values[:: world.worlds].tolist() for values in pose), was, strict=True)
         for k, (member, own) in enumerate(zip(world.roster, world.state.agents, strict=True)):
             words = skills.get(member.kind, ())
             if isinstance(own, RobotState):
@@ -373,30 +373,31 @@ class MotionTeam(Team):
                 command, word = self._commands[k], self.controllers[k].word
                 forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
                 code = words.index(word) if word in words else -1
-                numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
+                parts.append((x, z, heading, own.contact.item(0), forward, turn, code))
             else:
                 (x, z), heading, distance, set_off, blend, arms, seat, before = next(people)
                 code = words.index("walk" if distance > before else "turn") if words else -1
                 # a walk begins anew where the person set off, so the clip's phase counts from there
-                numbers += (x, z, heading, distance - set_off, blend, *arms, *seat, code)
-        for k in self._handling():
-            numbers += now.hands[(k - len(world.state.robots)) * world.worlds].ravel().tolist()
-        return numbers + world.state.joint_pos[0].tolist() + world.state.object_pose[0].ravel().tolist()
+                parts.append((x, z, heading, distance - set_off, blend, *arms, *seat, code))
+        hands = [now.hands[(k - len(world.state.robots)) * world.worlds].ravel().tolist() for k in self._handling()]
+        return [*parts, *hands, world.state.joint_pos[0].tolist(), world.state.object_pose[0].ravel().tolist()]
 
     def _handling(self) -> list[int]:
         """Return numbers of the people who may handle things."""
         return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
-    def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
+    def columns(
+        self, snapshots: Sequence[list[Sequence[float]]]
+    ) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return columns of robots that drive and of people in motion clips."""
-        numbers, steps, floor = np.array(snapshots, np.float64), len(snapshots), self.play.episode.free
+        # as `snapshot` writes them, [T, n] each
+        parts = [np.array(part, np.float64) for part in zip(*snapshots, strict=True)]
+        steps, floor = len(snapshots), self.play.episode.free
         result: Columns = {}
-        places, contact, at = [], [], 0
+        places, contact = [], []
         for k, member in enumerate(self.play.world.roster):
             agent, body = f"agent_{k}.", member.body
-            # as many numbers as `snapshot` writes for a robot, and for a person
-            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 10)].T
-            at += len(own)
+            own = parts[k].T
             xz = np.stack([own[0], own[1]], -1)
             places.append(xz)
             result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
@@ -410,14 +411,13 @@ class MotionTeam(Team):
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
             if self.play.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
-        for k in self._handling():
-            result[f"agent_{k}.motion_hands"] = numbers[:, at : at + 16].reshape(-1, 4, 4).astype(np.float32)
-            at += 16
-        joints = self.play.world.state.joint_pos.shape[1]
-        if joints:
-            result[JOINTS] = numbers[:, at : at + joints].astype(np.float32)
-        if numbers.shape[1] > at + joints:
-            result["object_pose"] = numbers[:, at + joints :].reshape(steps, -1, 7).astype(np.float32)
+        *hands, joints, things = parts[len(places) :]
+        for k, part in zip(self._handling(), hands, strict=True):
+            result[f"agent_{k}.motion_hands"] = part.reshape(-1, 4, 4).astype(np.float32)
+        if joints.size:
+            result[JOINTS] = joints.astype(np.float32)
+        if things.size:
+            result["object_pose"] = things.reshape(steps, -1, 7).astype(np.float32)
         return result, places, np.any(contact, axis=0) if contact else None
 
     def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
