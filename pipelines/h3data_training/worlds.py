@@ -63,7 +63,7 @@ class ActionRepeatEnv(ActionRepeat):
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> Any:
         if self.device.type == "cuda":
             if self._light == "baked":
-                raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
+                raise InputError(NO_BAKED_LIGHT, code="H3-TRAIN-082")
             return cameras_of(
                 self.bank,
                 load_robot(robot),
