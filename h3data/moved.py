@@ -10,10 +10,16 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.recording.mcap.log": "h3data.recording.mcap.writer",
+    "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav.codec",
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.crowd.routines": "h3data_crowds.routines",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
-    "sim_kinematic.controllers.controller": "sim_kinematic.controllers",
+    "sim_kinematic.controllers": "sim_kinematic.tasks.control",
+    "sim_kinematic.controllers.controller": "sim_kinematic.tasks.control",
+    "sim_kinematic.controllers.motion": "sim_kinematic.tasks.motion",
+    "sim_kinematic.controllers.skill": "sim_kinematic.tasks.skills.controller",
+    "sim_kinematic.tasks.team": "sim_kinematic.tasks.motion",
     "h3data.render.raster.vectors": "h3data.kernels.vectors",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
@@ -253,6 +259,7 @@ RENAMED = {
     "sim_kinematic.sensing.table.Moment": "SensorContext",
     "sim_kinematic.sensing.sensor.humanoid_gps": "gps_compass",
     "sim_kinematic.sensing.sensor.nav_goal": "gps_compass",
+    "sim_kinematic.tasks.control.VelocityControl": "h3data.tasks.VelocityControl",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
     "sim_kinematic.tasks.play.Play": "WorldRollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",

@@ -35,8 +35,8 @@ from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.tasks.episode import Starts, sample_pair_starts
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, Target, free_spot
-from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 ATTEMPTS = 60
 """Number of choices of a template, things and places that are tried."""

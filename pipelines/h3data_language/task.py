@@ -44,10 +44,10 @@ from sim_kinematic.agents.skills import INSIDE, Destination, sentence
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info, uid_of
+from sim_kinematic.tasks.episode import Starts
 from sim_kinematic.tasks.rearrange.codec import goal_record
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, rules_in
 from sim_kinematic.tasks.skills.household import Household
-from sim_kinematic.tasks.social_nav.episode import Starts
 
 HANDLING_STEPS = 12
 """Number of steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""

@@ -18,11 +18,10 @@ from h3data.plugins import names_from_data
 from h3data.recording import read_mcap, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data_remote.wire import PolicyServerError
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
-from sim_kinematic.tasks.episode import Episode, agent_floor
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
@@ -100,8 +99,8 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
         if name in kind._fields
     }
     rules = {
-        "free": agent_floor(episode, number),
-        "bases": tuple(agent_base(episode, k) for k, member in enumerate(episode.roster) if member.kind == "robot"),
+        "free": episode.floor(number),
+        "bases": tuple(episode.bases[k] for k, member in enumerate(episode.roster) if member.kind == "robot"),
         "walker": episode.spec.human,
         "extra": episode.extra,
         # these reach into the world of the caller, which this process does not have

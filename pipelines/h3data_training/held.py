@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from h3data_training.envs.torch_env import places_in_bank
+from h3data_training.torch.graph import captured
 
 
 class ActionRepeat:
@@ -17,18 +20,28 @@ class ActionRepeat:
 
     counts: tuple[str, ...]
     """Sums over worlds and steps that `totals` keeps."""
+    sim: Any
+    """Worlds as tensors, whose ``bank`` has the episodes."""
     play: Any
     """State of all worlds; overwritten by every step."""
-    hold: int
-    counted: Tensor
-    """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
     shown: Tensor | None = None
     """Worlds in which a teacher acts as long as it has a weight, bool [W]; None: in none."""
-    _advance: Callable[[], None]
-    """`_eager`, or the CUDA graph that was captured of it."""
     _action: Tensor
     _shown: dict[str, Tensor]
     """Observations of the last call of `_eager`."""
+
+    def __init__(self, hold: int, worlds: int, device: torch.device | str) -> None:
+        """Make sums for ``worlds`` worlds, in which an action is repeated for ``hold`` steps."""
+        self.hold, self.num_envs, self.device = hold, worlds, torch.device(device)
+        self._advance = self._eager
+        """`_eager`, or the CUDA graph that was captured of it."""
+        self.gain = torch.zeros(worlds, device=self.device)
+        self.over, self.timed_out, self.idle = (
+            torch.zeros(worlds, dtype=torch.bool, device=self.device) for _ in range(3)
+        )
+        self.totals = torch.zeros(len(self.counts), device=self.device)
+        self.counted = torch.ones(worlds, dtype=torch.bool, device=self.device)
+        """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """Move all worlds by an action [W, A]; return what `Worlds.repeat_action` returns, in tensors of its own."""
@@ -53,11 +66,13 @@ class ActionRepeat:
         """Return observations of the last step, in tensors of their own."""
         return {name: tensor.clone() for name, tensor in self._shown.items()}
 
-    def _make_totals(self, worlds: int, device: torch.device) -> None:
-        self.gain = torch.zeros(worlds, device=device)
-        self.over, self.timed_out, self.idle = (torch.zeros(worlds, dtype=torch.bool, device=device) for _ in range(3))
-        self.totals = torch.zeros(len(self.counts), device=device)
-        self.counted = torch.ones(worlds, dtype=torch.bool, device=device)
+    def _begin(self, seed: int | Sequence[int]) -> None:
+        """Let the next step begin an episode in each world, at the place in the bank that follows from its seed."""
+        if self.device.type == "cuda" and self._advance == self._eager:
+            self._advance = captured(self._eager, list(self.play.tensors()))
+        self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.sim.bank)) - 1)
+        self.play.ended.fill_(True)
+        self._action.zero_()
 
     def _hold_action(self) -> None:
         """`hold` steps of all worlds, in place."""

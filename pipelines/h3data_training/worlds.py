@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
+from h3data.render.light.sources import LightMode
 from h3data_training.cpu_cameras import CpuCameras
-from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
-from h3data_training.envs.task_torch_env import arm_cameras
+from h3data_training.envs.task_torch_env import PICTURED, arm_cameras, arm_pictures, cameras_of
+from h3data_training.envs.torch_env import enough_memory
 from h3data_training.episodes import rules
 from h3data_training.held import ActionRepeat
 from h3data_training.settings import CRITIC, Settings
 from h3data_training.torch.episodes import EpisodeBank
+from h3data_training.torch.graph import can_fuse, fused, overwrite
+from h3data_training.torch.social_nav import SocialNavTensors
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
 """Sums over worlds and steps that `ActionRepeatEnv.totals` keeps."""
 
 
-class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
-    """Version of `SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
+class ActionRepeatEnv(ActionRepeat):
+    """`SocialNavTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`.
+
+    What a decision of a learner does is in `ActionRepeat.repeat_action` and here.
+    """
 
     counts = COUNTS
 
@@ -36,26 +44,36 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         count: int | None = None,
     ) -> None:
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
-        self.hold, self.follow_steps = hold or settings.hold, settings.follow_steps
-        shown: Any = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
-        super().__init__(
-            count or settings.worlds,
-            device=device,
-            dtype=torch.float32,
-            observations=shown,
-            spec=rules(settings),
-            episodes=bank,
-            depth_size=settings.picture_size,
-            light=settings.light,
-            robot=settings.robot,
-            human=settings.human,
-            compile=compile,
-        )
-        self._make_totals(self.num_envs, self.device)
+        super().__init__(hold or settings.hold, count or settings.worlds, device)
+        self.bank, self.follow_steps = bank, settings.follow_steps
+        self._light: LightMode = settings.light
+        bodies = {"robot": settings.robot, "human": settings.human}
+        self.sim = SocialNavTensors(bank, device=self.device, dtype=torch.float32, spec=rules(settings), **bodies)
+        self._names = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
+        self._numbers = [name for name in self._names if name not in PICTURED]
+        nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
+        self.play = self.sim.before_the_first(nothing)
+        self._action = torch.zeros(self.num_envs, self.sim.action_width, device=self.device)
+        self._shown: dict[str, Tensor] = {}
+        compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
+        self._move = fused(self._moved) if compiles else self._moved
+        pictured = set(PICTURED) & set(self._names)
+        self._cameras = self._make_cameras(settings.picture_size, compile=compiles, **bodies) if pictured else None
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> Any:
         if self.device.type == "cuda":
-            return super()._make_cameras(size, compile=compile, robot=robot, human=human)
+            return cameras_of(
+                self.bank,
+                load_robot(robot),
+                load_humanoid(human),
+                self.sim.spec.human,
+                worlds=self.num_envs,
+                views=arm_cameras(self._names),
+                size=size,
+                device=self.device,
+                compile=compile,
+                light=self._light,
+            )
         assert size is not None
         floors = [floor.floor_y for floor in self.bank.floors]
         return CpuCameras(
@@ -69,16 +87,30 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
             light=self._light,
         )
 
+    def reset(self, *, seed: int | Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Begin an episode in all worlds, each at the place in the bank that follows from its seed, and do nothing at first."""
+        with enough_memory(self.device, self.num_envs, self.sim.task.name), torch.no_grad():
+            self._begin(seed)
+            self._advance()
+        return self._result(), {}
+
     def _eager(self) -> None:
         self._hold_action()
         if self._cameras is not None:
-            self._shown |= self._pictures(self._cameras)
+            place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
+            self._cameras.pose(self.play.robot, self.play.human, place=place)
+            self._shown |= arm_pictures(self._cameras, self._names)
         self._shown = {name: self._shown[name] for name in self._names}
 
     def _step_held(self, k: int) -> Tensor:
         followed = self.play.memory["followed"].clone()
         self._shown = self._move()
         return followed
+
+    def _moved(self) -> dict[str, Tensor]:
+        """Move all worlds a step, in place, and return what they show but for pictures."""
+        overwrite(self.play.tensors(), self.sim.step(self.play, self._action).tensors())
+        return self.sim.observations(self._numbers, self.play)
 
     def _long_enough(self) -> Tensor | None:
         return self.play.memory["followed"] >= self.follow_steps if self.follow_steps else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -56,12 +55,6 @@ def base_of(robot: Humanoid | Robot, rules: BaseSpec) -> BaseSpec:
     if hull == AVOIDANCE.robot.offsets_m and all(getattr(rules, name) == value for name, value in own.items()):
         return rules
     return RobotBase(**{**vars(rules), **own, "hull_offsets_m": hull})
-
-
-@lru_cache(maxsize=256)
-def agent_base(episode: Any, number: int) -> BaseSpec:
-    """Return discs and limits of an agent: a robot's own; for a person, whom no base limits, those of the rules."""
-    return base_of(episode.roster[number].body, episode.spec.robot)
 
 
 def hull_of(base: BaseSpec) -> tuple[float, ...]:

@@ -21,7 +21,6 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
-from sim_kinematic.controllers.motion import command_of
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.policies.assignment import assign, policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -31,11 +30,11 @@ from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
 from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.motion import command_of, resting_arm
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes, in_words
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.tasks.team import resting_arm
 from sim_kinematic.world import Command, DriveCommand, PoseCommand, WaypointCommand
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import check_groups, read_role, routines
@@ -33,8 +32,10 @@ Episode = Any
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
     # by their number among people: the first one walks the same way, whoever else is there
     nth = number - sum(member.kind == "robot" for member in episode.roster)
-    seed = episode.seed if nth <= 0 else episode_seed(episode.seed, nth)
-    return WaypointPolicy(episode.free, seed, episode.spec.human)
+    if nth > 0:
+        return WaypointPolicy(episode.free, episode_seed(episode.seed, nth), episode.spec.human)
+    # an episode of a file may say where the first one goes
+    return WaypointPolicy(episode.free, episode.seed, episode.spec.human, episode.extra.get("human_goals", ()))
 
 
 def _wander(task: Task, episode: Episode, number: int) -> Policy:
@@ -221,7 +222,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         return lambda episode, number: AssignedPolicy(choice, type(choice).__name__, kind)
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
-        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, agent_base(episode, number)), name, kind)
+        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, episode.bases[number]), name, kind)
     raise InputError(
         f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
     )
@@ -303,5 +304,5 @@ def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
         return made
     # a function of two arguments is a policy itself; factories take three
     if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
-        return FunctionPolicy(made, agent_base(episode, number))
+        return FunctionPolicy(made, episode.bases[number])
     return made(task, episode, number)

@@ -1,27 +1,95 @@
-"""Control of a task's agents: the form of a choice, what carries it out, and how it is recorded and repeated.
+"""Base classes of the agents of a rollout, and of what a task says about them.
 
-A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
-`sim_kinematic.tasks.skills.control.SkillControl` they have skills: they take things, put them down, open and close.
+A task names one `Control` (`sim_kinematic.tasks.task.Task.control`): the form of a choice, what carries it out, and how it is
+recorded and repeated. It makes the `Team` of each rollout. With `sim_kinematic.tasks.motion.VelocityControl`, agents drive and
+walk. With `sim_kinematic.tasks.skills.control.SkillControl` they have skills: they take things, put them down, open and close.
 """
 
 from __future__ import annotations
 
-import math
+import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
-from h3data.recording import Agent, Recording
+from h3data.geometry import Array
+from h3data.recording import Agent, Event, Recording
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, Still, Velocity, WaypointAction
-from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.team import MotionTeam, Team
+from sim_kinematic.world import Command
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Team(ABC):
+    """Base class of the agents of a rollout; ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
+
+    def __init__(self, play: Any) -> None:
+        # no circle of references: policies with open connections are freed with the last use of their rollout
+        self.play: Any = weakref.proxy(play)
+        self.controllers: Sequence[Any] = ()
+        """A controller for each agent.
+
+        In every step ``begin(step)`` is called first. While ``status`` is ``choosing``, a choice of the policy is given to
+        ``start(choice)``. Then ``step()`` returns the command of this step, or None if the agent has been moved already or
+        has to choose once more.
+        """
+        self.order: Sequence[int] = range(len(play.world.roster))
+        """Numbers of the agents in the order in which they act."""
+
+    @abstractmethod
+    def begin(self, rows: NDArray[np.intp]) -> None:
+        """Begin episodes in the worlds ``rows`` [n]."""
+
+    def begin_step(self) -> None:
+        """Begin a step of the only world."""
+        for controller in self.controllers:
+            controller.begin(self.play.step)
+
+    def begin_turn(self, number: int) -> None:  # noqa: B027
+        """Prepare an agent before it is asked or moved."""
+
+    def end_turn(self, number: int) -> None:  # noqa: B027
+        """Update the team after an agent has made its step."""
+
+    @abstractmethod
+    def move(self, commands: Sequence[Command | None]) -> None:
+        """Complete a step by one command for each agent, None for agents that their controllers have moved."""
+
+    def finish(self) -> None:  # noqa: B027
+        """Close what is still going on, such as running skills."""
+
+    @abstractmethod
+    def view(self, agent: int, world: int) -> Any:
+        """Return the observation of an agent's policy, for any task."""
+
+    @abstractmethod
+    def exact(
+        self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
+    ) -> dict[str, Array]:
+        """Return the named observations as they are, [W, n] each; rows of the teams ``beside`` follow this team's."""
+
+    @abstractmethod
+    def scenery(self, world: int) -> dict[str, Any]:
+        """Return the arguments of `sim_kinematic.sensing.eyes.see` that describe the present state of a world."""
+
+    def new_events(self) -> Sequence[Event]:
+        """Return events of agents of the first world in the last step, beyond those that the task judges."""
+        return ()
+
+    @abstractmethod
+    def snapshot(self) -> Any:
+        """Return the step just played in the first world, as `columns` takes it."""
+
+    @abstractmethod
+    def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
+        """Return columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
 
 
 class Control:
@@ -43,7 +111,7 @@ class Control:
         self.skills = dict(skills or {})
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raise an `InputError` if an agent cannot be told such things; by default all can."""
+        """Raise an `InputError` if the control does not support an agent; by default it supports all."""
 
     def team(self, play: Any) -> Team:
         """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
@@ -71,7 +139,7 @@ class Control:
         raise NotImplementedError
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Return whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        """Return whether an agent continues an action until it ends or a command interrupts it."""
         del play, number
         return False
 
@@ -124,7 +192,7 @@ class Control:
         raise NotImplementedError
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the numbers of the agents whose every decision is recorded, so that verification asks no policy of theirs.
+        """Return the numbers of the agents whose decisions are all recorded, so that verification calls none of their policies.
 
         ``names`` are those of all agents' policies.
         """
@@ -157,120 +225,3 @@ class Control:
         ``since`` is the step from which robots follow other policies.
         """
         raise NotImplementedError
-
-
-class VelocityControl(Control):
-    """Control of agents that drive and walk by velocities, way points or places."""
-
-    def team(self, play: Any) -> Team:
-        """Return the agents of W worlds, which are moved together."""
-        return MotionTeam(play)
-
-    def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity from a pair, or from anything with ``forward`` and ``turn``.
-
-        Raises:
-            InputError: it is malformed.
-        """
-        del play, number
-        try:
-            if not hasattr(choice, "forward") and np.shape(choice) == (2,):
-                choice = Velocity(float(choice[0]), float(choice[1]))
-            is_finite = math.isfinite(choice.forward) and math.isfinite(choice.turn)
-        except (AttributeError, TypeError, ValueError):
-            raise InputError(
-                f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064"
-            ) from None
-        if not is_finite:
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
-        return choice
-
-    def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity as `checked`, or a way point, a place, a gait or a recorded pose.
-
-        Raises:
-            InputError: it is malformed.
-        """
-        if isinstance(choice, GaitAction):
-            return choice
-        if not isinstance(choice, WaypointAction | PoseAction | RecordedPose):
-            return self.checked(play, number, choice)
-        place = np.append(choice.xz, getattr(choice, "heading", 0.0))
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise InputError(f"Expected a place of 2 finite numbers [m], got {choice!r}.", code="H3-TASK-082")
-        return choice
-
-    def idle(self, play: Any, number: int, last: Any) -> Any:
-        """Return the choice that keeps the agent as it is."""
-        del play, number
-        return Velocity(0.0, 0.0) if last is None else last
-
-    def to_json(self, choice: Any) -> Any:
-        """Return a velocity as JSON types."""
-        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
-
-    def from_json(self, data: Any) -> Any:
-        """Return the velocity that `to_json` wrote."""
-        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
-
-    def needed_columns(self, recording: Recording) -> list[str]:
-        """Return the columns of the velocities of robots, and of the skills that they report."""
-        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
-        names = ("action", "skill") if self.skills.get("robot") else ("action",)
-        return [f"agent_{k}.{name}" for k in robots for name in names]
-
-    def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the robots, and the people who were controlled from outside."""
-        commanded = recorded_commands(recording, self.from_json)
-        decided = {
-            k
-            for k, agent in enumerate(recording.agents)
-            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
-        }
-        # agents that wander make way for each other, so one of them can only decide again if the others do too
-        wanderers = {k for k, name in enumerate(names) if name == "wander"}
-        return decided if wanderers <= decided else decided - wanderers
-
-    def still(self, episode: Episode, number: int) -> Any:
-        """Return a policy that stands still."""
-        del episode, number
-        return Still()
-
-    def recorded_policies(
-        self,
-        recording: Recording,
-        episode: Episode,
-        own: Sequence[AssignedPolicy],
-        *,
-        until: int,
-        changed: Sequence[bool] = (),
-    ) -> list[AssignedPolicy]:
-        """Return policies that repeat the recorded velocities.
-
-        A scripted person has no recorded decisions: its own policy decides again.
-        """
-        commands, policies = recorded_commands(recording, self.from_json), []
-        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
-            policy = assigned.policy
-            if member.kind == "robot" or k in commands:
-                # the policy that drove so far is asked about the past, to have its memory; a new one is not
-                first = until if changed and changed[k] else min(since, until)
-                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
-            elif policy is None:
-                raise InputError(
-                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided.",
-                    code="H3-TASK-066",
-                )
-            policies.append(assigned._replace(policy=policy))
-        return policies
-
-    def keep_people(
-        self, play: Any, recording: Recording, since: int
-    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Let people follow their recorded places and postures from the first step on."""
-        del since
-        for k, member in enumerate(play.episode.roster):
-            if member.kind == "human":
-                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
-        return {}, None

@@ -1,25 +1,26 @@
-"""Records of a task: its rules, an episode, the outcome of a step."""
+"""Records of a task: its rules, an episode and its starts, the outcome of a step."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cached_property, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError, SceneError, suggest
 from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
-from sim_kinematic.avoidance.robot_base import agent_base, floor_of
+from sim_kinematic.agents.stands import discs_fit
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, SocialNavSpec, WalkerSpec
 
 MAX_STEPS = 1_000_000
 """Largest number of steps of an episode that is simulated again, nine hours."""
@@ -65,6 +66,16 @@ class Episode:
         """Return the episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
+    @cached_property
+    def bases(self) -> tuple[BaseSpec, ...]:
+        """Discs and limits of each agent: a robot's own; for a person, whom no base limits, those of the rules."""
+        return tuple(base_of(member.body, self.spec.robot) for member in self.roster)
+
+    def floor(self, agent: int) -> FreeSpace:
+        """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+        body = self.roster[agent].body
+        return floor_of(body, self.bases[agent], self.scene, self.free) if isinstance(body, Robot) else self.free
+
     @property
     def moving(self) -> dict[str, Array]:
         """Instances of the scene that agents may move, with their poses [7] at the start, in the order of the recording."""
@@ -82,13 +93,68 @@ def sample_starts(
     return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
 
 
-@lru_cache(maxsize=256)
-def agent_floor(episode: Episode, number: int) -> FreeSpace:
-    """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
-    body = episode.roster[number].body
-    if not isinstance(body, Robot):
-        return episode.free
-    return floor_of(body, agent_base(episode, number), episode.scene, episode.free)
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Start poses of robot and person."""
+
+    robot_xz: NDArray[np.float64]
+    robot_heading: float
+    human_xz: NDArray[np.float64]
+    human_heading: float
+
+    @property
+    def places(self) -> Array:
+        """Places ``(x, z, heading)`` of robot and person, [2, 3]."""
+        return np.array([[*self.robot_xz, self.robot_heading], [*self.human_xz, self.human_heading]])
+
+    @classmethod
+    def of(cls, places: Array) -> Starts:
+        """Start from an array [2, 3] whose first row is the robot's and second the person's."""
+        robot, human = np.asarray(places, np.float64)
+        return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
+
+
+def sample_pair_starts(
+    free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
+) -> Starts:
+    """Sample starts at least ``spec.spawn_distance_m`` apart on one island of the free floor.
+
+    ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
+    the rules is kept free of obstacles.
+
+    Raises:
+        SceneError: The scene has no two such places.
+    """
+    rng = generator(seed, "spawn")
+    base_fits = partial(discs_fit, free, spec.robot)
+    farthest, misfits = 0.0, 0
+    for _ in range(200):
+        robot_xz, human_xz = free.sample(rng, 2)
+        # drawn for rejected pairs too, so that the tests do not shift the draws of later pairs
+        robot_heading, human_heading = rng.uniform(-np.pi, np.pi, 2)
+        apart = float(np.hypot(*(robot_xz - human_xz)))
+        farthest = max(farthest, apart)
+        if apart < spec.spawn_distance_m:
+            continue
+        if not np.isfinite(free.geodesic(robot_xz, human_xz)):
+            continue
+        if (fits or base_fits)(robot_xz, robot_heading):
+            return Starts(
+                robot_xz=robot_xz,
+                robot_heading=float(robot_heading),
+                human_xz=human_xz,
+                human_heading=float(human_heading),
+            )
+        misfits += 1
+    narrow = (
+        f" At {misfits} of these pairs the robot did not fit: "
+        "base_discs_m and base_radius_m of its robot.toml say its size."
+    )
+    raise SceneError(
+        f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
+        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home.",
+        code="H3-TASK-048",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

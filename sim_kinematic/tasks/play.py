@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.control import Columns
 from sim_kinematic.tasks.episode import Episode, StepOutcome
-from sim_kinematic.tasks.team import Columns, resting_arm
+from sim_kinematic.tasks.motion import resting_arm
 from sim_kinematic.world import (
     Command,
     World,
@@ -30,34 +31,6 @@ from sim_kinematic.world import (
 
 if TYPE_CHECKING:
     from sim_kinematic.sensing.eyes import PictureSize
-
-
-class Rules(Protocol):
-    """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
-
-    control: ClassVar[Any]
-    """Makes the controllers of agents (`sim_kinematic.tasks.control.Control`)."""
-    columns: ClassVar[Mapping[str, Any]]
-
-    @property
-    def codec(self) -> Any:
-        """Say whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
-        ...
-
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Prepare the worlds ``rows`` [n], whose episodes have just begun."""
-
-    def judge(self, play: WorldRollout) -> StepOutcome:
-        """Return reward, end and events of the step that all worlds have just made."""
-        ...
-
-    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Return the observation of an agent's policy in one world."""
-        ...
-
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the observations of agents of a kind, beyond pictures, by name."""
-        ...
 
 
 class WorldRollout:
@@ -68,7 +41,7 @@ class WorldRollout:
 
     def __init__(
         self,
-        task: Rules,
+        task: Any,
         spec: Any,
         roster: Sequence[AgentSpec],
         *,
@@ -98,6 +71,7 @@ class WorldRollout:
                 f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
             )
         self.task: Any = task
+        """The `sim_kinematic.tasks.task.Task`."""
         self.spec, self.measure, self.options = spec, measure, dict(options or {})
         self.world = World(
             roster,
@@ -128,7 +102,7 @@ class WorldRollout:
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
         self.team: Any = task.control.team(self)
-        """Controllers of the agents (`sim_kinematic.tasks.team.Team`)."""
+        """Controllers of the agents (`sim_kinematic.tasks.control.Team`)."""
         self._checked, self._checks = False, measure and not task.control.has_skills
         self._judgement: dict[str, type] = {}
         """Columns of the judgement that are recorded, with their dtypes."""
@@ -141,7 +115,7 @@ class WorldRollout:
 
     @classmethod
     def of(
-        cls, task: Rules, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
+        cls, task: Any, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
     ) -> WorldRollout:
         """Return one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
 
@@ -377,10 +351,6 @@ class WorldRollout:
                 f"The policy {given.name!r} of {who} returned no valid choice: {error}", code="H3-TASK-083"
             ) from error
 
-    def finish(self) -> None:
-        """End everything that is still running, such as skills."""
-        self.team.finish()
-
     # --- recording ----------------------------------------------------------------------------------------------------
     def snapshot(self) -> tuple[Any, dict[str, Any], NDArray[np.bool_]]:
         """Return the state of the first world after a step; `columns` makes blocks of them."""
@@ -443,7 +413,7 @@ class AgentSensors(NamedTuple):
     pictures: frozenset[str]
 
     @classmethod
-    def of(cls, task: Rules, member: AgentSpec, objects: int, parts: int = 0) -> AgentSensors:
+    def of(cls, task: Any, member: AgentSpec, objects: int, parts: int = 0) -> AgentSensors:
         """Return the sensors and pictures of an agent in an episode with these numbers of objects and of parts that open."""
         sensors = task.sensors(member.kind)
         spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)), parts=parts)

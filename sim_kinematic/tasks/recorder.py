@@ -234,7 +234,7 @@ class Recorder:
     def finish(self, info: Mapping[str, Any]) -> Recording:
         """Close the sink and return the whole recording, with what is known only at the end."""
         # first, as it ends running skills, whose spans are taken down below
-        self.play.finish()
+        self.play.team.finish()
         columns = self.columns()
         self._take()
         # agents that report a skill in every step have no spans yet: their columns have all of them

@@ -22,7 +22,7 @@ from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import JOINTS
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, each_of, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
@@ -431,8 +431,6 @@ def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedP
 
 def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
     """Return the choice for one agent: by its name, else by its kind, one for all or one for each."""
-    from sim_kinematic.policies.assignment import each_of
-
     member = episode.roster[number]
     for key in (member.name, member.name.replace("human", "person")):
         if key in new and key not in KINDS:

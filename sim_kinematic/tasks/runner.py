@@ -85,14 +85,13 @@ class DecisionLoop:
             self._ended, play.ended = True, outcome.ended or ("success" if outcome.success[0] else "terminated")
 
     def _start(self, number: int, choice: Any) -> None:
-        world = self._play.world
-        self._play.team.controllers[number].start(world, number, world.rows, (choice,))
+        self._play.team.controllers[number].start(choice)
         self._step(number)
 
     def _step(self, number: int) -> None:
-        world, team = self._play.world, self._play.team
+        team = self._play.team
         controller = team.controllers[number]
-        self._commands[number] = controller.step(world, number, world.rows)
+        self._commands[number] = controller.step()
         if controller.status != "choosing":
             team.end_turn(number)
             self._turn, self._begun = self._turn + 1, False

@@ -24,7 +24,6 @@ from h3data_play.messages import decode
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.wire import BUSY
 from h3data_play.worker import rehearse
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.step import discs_at
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
@@ -146,7 +145,7 @@ def places(game: LiveGame) -> np.ndarray:
 
 def robot_discs(game: LiveGame) -> tuple[tuple[float, ...], float]:
     """Offsets and radius of the robot's discs."""
-    base = agent_base(game.session.episode, 0)
+    base = game.session.episode.bases[0]
     return base.disc_offsets_m, base.disc_radius_m
 
 

@@ -30,7 +30,6 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap import part as mcap_part
-from h3data.recording.mcap.log import LogWriter
 from tests.recording.strategies import simple_recording
 
 
@@ -209,7 +208,7 @@ def test_an_interrupt_while_rewriting_leaves_the_live_log(tmp_path, monkeypatch)
     def interrupted(writer, recording):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(LogWriter, "append_recording", interrupted)
+    monkeypatch.setattr(RecordingWriter, "append_recording", interrupted)
     with pytest.raises(KeyboardInterrupt):
         record_live(tmp_path / "a.mcap", rec)
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []

@@ -27,6 +27,7 @@ from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.visual_policy import VisualPolicy
+from tests.journeys import stays
 from tests.training.runs import SMALL, small
 from tests.training.torch.capturable import CapturableOnly
 
@@ -235,6 +236,13 @@ def test_it_trains_without_pictures_too(bank: EpisodeBank, tmp_path: Path) -> No
     network = network_of(f"weights:{tmp_path / POLICY}")
     assert isinstance(network, VisualPolicy)
     assert network.card.picture_size is None
+
+
+def test_a_decision_is_followed_in_two_files(bank: EpisodeBank) -> None:
+    worlds = ActionRepeatEnv(small(observations=BLIND), bank, device="cpu", compile=False)
+    worlds.reset(seed=[0, 1, 2, 3])
+    files = stays(lambda: worlds.repeat_action(torch.zeros(4, 2)), lambda _, value: value is worlds)
+    assert {Path(file).name for file in files} == {"held.py", "worlds.py"}
 
 
 def test_episodes_are_cut_short_after_following(bank: EpisodeBank) -> None:

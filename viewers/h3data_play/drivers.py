@@ -45,10 +45,8 @@ from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, Message, sentence
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
@@ -172,7 +170,7 @@ class Driver:
     @property
     def floor(self) -> FreeSpace:
         """Floor on which paths are found."""
-        return agent_floor(self.session.episode, self.number)
+        return self.session.episode.floor(self.number)
 
     @property
     def base(self) -> BaseSpec:
@@ -483,7 +481,7 @@ def driving_base(session: Session, number: int) -> BaseSpec:
     """Discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
     episode = session.episode
     if episode.roster[number].kind == "robot":
-        return agent_base(episode, number)
+        return episode.bases[number]
     spec = episode.spec
     return BaseSpec(
         max_speed_mps=spec.human.speed_mps,

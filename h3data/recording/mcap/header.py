@@ -1,4 +1,4 @@
-"""Metadata records, the scene message and log times of an MCAP log."""
+"""Metadata records, messages and log times of an MCAP log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from h3data.errors import InputError
 from h3data.recording.mcap.wire import message_class, struct_descriptor
 from h3data.recording.records import SCHEMA_VERSION, Episode, Recording, RecordingHeader
-from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict, struct_to_dict
+from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict
 
 PROFILE = "h3data"
 TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
@@ -16,7 +16,7 @@ TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
 
 
 def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
-    """Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
+    """Return the Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
     t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
     try:
         return int(t0)
@@ -48,11 +48,6 @@ def episode_metadata(episode: Episode) -> dict[str, str]:
     """Return the episode as a metadata record, all values as text."""
     # MCAP allows nothing but text in metadata
     return {k: str(v) for k, v in episode_to_dict(episode).items()}
-
-
-def scene_dict(header: RecordingHeader | Recording) -> dict[str, Any]:
-    """Return fields of the message on ``/h3/scene``."""
-    return {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
 
 
 def encode_record(message: str, values: Mapping[str, Any]) -> bytes:

@@ -1,4 +1,4 @@
-"""Rows between `LogWriter.append` and the file: checked against the columns, held back to be encoded together."""
+"""Rows between `RecordingWriter.append` and the file: checked against the columns, held back to be encoded together."""
 
 from __future__ import annotations
 

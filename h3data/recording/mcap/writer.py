@@ -1,25 +1,72 @@
-"""Writing MCAP logs: live while the episode happens, or a finished recording at once."""
+"""Writing MCAP files: while an episode runs, or of a finished recording at once.
+
+A file grows while the episode runs and is readable up to its last flush after a crash. While it is written it is called
+``<name>.part``; only a complete file gets its final name. ``h3data docs format`` describes the contents.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import mimetypes
 import os
 import tempfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import IO, Any, Self, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.recording.mcap.log import CHUNK_BYTES, FLUSH_ROWS, FLUSH_S, LogWriter
-from h3data.recording.mcap.part import part_path, publish
+from h3data.recording.mcap.chunks import CutRecording, repeats, slices
+from h3data.recording.mcap.header import (
+    PROFILE,
+    TOPIC_MESSAGES,
+    encode_record,
+    episode_metadata,
+    header_metadata,
+    log_time,
+    start_time,
+)
+from h3data.recording.mcap.part import PartFile, part_path, publish
 from h3data.recording.mcap.read import read_mcap
-from h3data.recording.records import Recording, RecordingHeader
-from h3data.recording.storage import AnyPath, RemotePath, open_binary, place
+from h3data.recording.mcap.rows import PendingRows, native_rows
+from h3data.recording.mcap.shared_files import RECORD, share_files
+from h3data.recording.mcap.wire import (
+    WireLayout,
+    encode_block,
+    fields_to_metadata,
+    step_descriptor,
+    struct_descriptor,
+    wire_layouts,
+)
+from h3data.recording.records import SCHEMA_VERSION, Event, InputEvent, Recording, RecordingHeader, SkillSpan
+from h3data.recording.schema import (
+    Topic,
+    default_layout,
+    layout_hash,
+    layout_of,
+    layout_to_json,
+    struct_to_dict,
+)
+from h3data.recording.storage import AnyPath, RemotePath, local, open_binary, place
+
+CHUNK_BYTES = 4 << 20
+"""Largest uncompressed size of a chunk."""
 
 
-class RecordingWriter(LogWriter):
-    """Writes one episode while it happens, then packs the file tightly.
+class RecordingWriter:
+    """An MCAP file that is open for writing, with exactly the rows that are flushed.
 
-    A log that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
+    As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
+    ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every
+    ``flush_rows`` rows (30 are one second) or ``flush_s`` seconds. What the disk does not take stays in memory: after an error
+    of the disk, `flush` and `close` can be called again when there is space, and nothing is lost.
+
+    A file that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
     final name, reads it back and replaces it by the file `write_mcap` would make of it (`pack_mcap`). Pass ``compact=False`` to
     skip that. A whole file exists under the name throughout; a full disk leaves the small chunks.
     """
@@ -33,22 +80,152 @@ class RecordingWriter(LogWriter):
         t0_unix_ns: int | None = None,
         share_in: str | os.PathLike[str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
-        flush_rows: int = FLUSH_ROWS,
-        flush_s: float = FLUSH_S,
+        flush_rows: int = 30,
+        flush_s: float = 1.0,
         compact: bool = True,
     ) -> None:
-        """See `LogWriter`; ``compact`` packs the finished file."""
+        """Create ``<path>.part`` and write everything known before the first step.
+
+        ``header.columns`` fixes the columns unless it is empty; then the first `append` does. Rows, skills, events and
+        inputs of a `Recording` given as the header are not written. Log times are ``time_ns`` plus ``t0_unix_ns``, which
+        defaults to ``episode.info["t0_unix_ns"]`` or 0, so that equal episodes make equal files. With ``share_in``, a folder
+        around the log, attachments such as the scene are stored once for all its logs, in ``<share_in>/h3/files``. With
+        ``compact``, the finished file is packed.
+
+        Raises:
+            InputError: the file exists and ``overwrite`` is False, or the header cannot be stored.
+        """
+        from mcap.writer import CompressionType, Writer
+
+        self.path = local(path)
+        self.header = header
+        self.closed = self._finished = False
+        self._t0 = start_time(header, t0_unix_ns)
+        self._chunk_bytes, self._flush_rows, self._flush_s = chunk_bytes, flush_rows, flush_s
         self._compact, self._share_in = compact, share_in
-        super().__init__(
-            path,
-            header,
-            overwrite=overwrite,
-            t0_unix_ns=t0_unix_ns,
-            share_in=share_in,
-            chunk_bytes=chunk_bytes,
-            flush_rows=flush_rows,
-            flush_s=flush_s,
-        )
+        self._blocks = 0
+        self._rows: PendingRows | None = None
+        self._topics: dict[Topic, tuple[int, WireLayout]] = {}
+        self._spans = 0
+        self._input_channel: int | None = None
+        self._flushed_at = time.monotonic()
+        # made before the file is: a header that cannot be stored leaves nothing behind
+        metadata = header_metadata(header)
+        records = {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
+        scene = encode_record("h3.Scene", records)
+        self._file = PartFile(self.path, overwrite=overwrite)
+        try:
+            shared = {} if share_in is None else share_files(header.attachments, local(share_in), self.path)
+            with self._file.writing():
+                self._mcap = Writer(
+                    cast(IO[bytes], self._file.stream),
+                    chunk_size=chunk_bytes,
+                    compression=CompressionType.ZSTD,
+                    enable_data_crcs=True,
+                )
+                self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
+                for name, values in metadata.items():
+                    self._mcap.add_metadata(name, values)
+                if shared:
+                    self._mcap.add_metadata(RECORD, shared)
+                for name, data in header.attachments.items() if share_in is None else ():
+                    media = mimetypes.guess_type(name)[0] or "application/octet-stream"
+                    self._mcap.add_attachment(self._log_time(0), self._log_time(0), name, media, bytes(data))
+                self._open_channels()
+                self._mcap.add_message(self._scene_channel, self._log_time(0), scene, self._log_time(0))
+                self._mcap.flush()  # a chunk of its own: reading the scene or one step does not unpack the other
+            if header.columns:
+                self._rows = self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
+        except BaseException:
+            self._shut()
+            self._file.discard()  # nothing worth recovering yet
+            raise
+
+    @property
+    def part(self) -> Path:
+        """Name of the file while it is written."""
+        return self._file.path
+
+    @property
+    def steps(self) -> int:
+        """Number of rows appended so far."""
+        return 0 if self._rows is None else self._rows.steps
+
+    def append(self, rows: Mapping[str, ArrayLike]) -> None:
+        """Write one or more steps: every column, time first, shape [n, ...] with the same n for all."""
+        added = self._add(rows)
+        assert self._rows is not None
+        due = self._rows.steps - self._rows.taken >= self._flush_rows
+        late = time.monotonic() - self._flushed_at >= self._flush_s
+        # rows wait for each other, because a block is encoded at once by numpy; not long, because a crash loses
+        # them
+        if added and (due or late):
+            self.flush()
+
+    def append_recording(self, recording: Recording) -> None:
+        """Write all steps, skills, events and inputs of a recording.
+
+        Chunks span at most 10 s (`chunks.repeats` names the exception). Events, inputs and skills follow
+        the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
+        off thus loses only the chunks after the cut.
+        """
+        parts, long_chunks = CutRecording(recording), repeats(recording.columns)
+        for start, stop in slices(recording.columns["time_ns"]):
+            self._add({name: column[start:stop] for name, column in recording.columns.items()})
+            with self._file.writing():
+                self._write_pending()
+            for event in parts.events(stop):
+                self.event(event)
+            for message in parts.inputs(stop):
+                self.input(message)
+            for number, span in parts.skills(stop):
+                self._write_skill(span, number)
+            if not long_chunks:
+                self.flush()
+        self.flush()
+
+    def event(self, event: Event) -> None:
+        """Write an event."""
+        self._require_open()
+        data = encode_record("h3.Event", struct_to_dict(event))
+        # at the time of its step: viewers show it there, and it may be written later
+        t = self._log_time(self._time_of(event.step))
+        with self._file.writing():
+            self._mcap.add_message(self._event_channel, t, data, t)
+
+    def input(self, event: InputEvent) -> None:
+        """Write one message of a person's input device."""
+        self._require_open()
+        data = encode_record("h3.Input", struct_to_dict(event))
+        t = self._log_time(event.time_ns)
+        with self._file.writing():
+            if self._input_channel is None:  # opened on demand: most recordings have no inputs
+                self._input_channel = self._struct_channel("Input")
+            self._mcap.add_message(self._input_channel, t, data, t)
+
+    def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
+        """Write a high-level action and return its number.
+
+        A skill that has just begun can be written as ``running`` and again with ``replaces=<its number>`` when it ends:
+        readers keep the last one. A crash then does not lose the action under way.
+        """
+        self._require_open()
+        if replaces is not None and not 0 <= replaces < self._spans:
+            raise InputError(
+                f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.",
+                code="H3-RECORDING-011",
+            )
+        number = self._spans if replaces is None else replaces
+        self._write_skill(span, number)
+        return number
+
+    def flush(self) -> None:
+        """Give everything appended so far to the operating system, where it survives the end of this process."""
+        self._require_open()
+        with self._file.writing():
+            self._write_pending()
+            self._mcap.flush()
+        self._flushed_at = time.monotonic()
 
     def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
         """Finish, sync, rename and pack the file; return its final path. A second call does nothing.
@@ -56,16 +233,143 @@ class RecordingWriter(LogWriter):
         ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
         Raises:
-            InputError: as of `LogWriter.close`.
+            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``. Call it again when there is space,
+                or `abort`.
             FormatError: reading back shows that the storage did not keep what was written.
         """
-        # asked before the file is closed: a second call must not pack it again
-        due = self._compact and not self.closed
-        path = super().close(info=info)
+        if self.closed:
+            return self.path
+        if self._rows is None:
+            # no step was ever written: the columns are announced all the same, so that the file can be read
+            self._rows = self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
+        with self._file.writing():
+            if not self._finished:
+                self._write_pending()
+                self._mcap.flush()
+                if info:  # readers keep the last metadata record of a name
+                    episode = dataclasses.replace(self.header.episode, info={**self.header.episode.info, **info})
+                    self._mcap.add_metadata("h3.episode", episode_metadata(episode))
+                self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
+                self._mcap.finish()
+                self._finished = True
+            # apart from the records above: where only this fails, a second call must not write them again
+            self._file.complete()
+        self._shut()
         # a file of one block is packed already
-        if due and self._blocks > 1:
-            pack_mcap(path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
-        return path
+        if self._compact and self._blocks > 1:
+            pack_mcap(self.path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
+        return self.path
+
+    def abort(self, *, keep: bool = True) -> None:
+        """Stop here. The rows so far stay as ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False."""
+        if self.closed:
+            return
+        try:
+            with contextlib.suppress(OSError, ValueError):  # the disk may be full; earlier flushes can be recovered
+                if not self._finished:
+                    self._write_pending()
+                    self._mcap.finish()
+                self._file.stream.flush()
+        finally:
+            self._shut()
+            if not keep:
+                self._file.discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            try:
+                self.close()
+            finally:
+                self._shut()
+        else:
+            self.abort()
+
+    def __repr__(self) -> str:
+        state = "closed" if self.closed else "open"
+        return f"{type(self).__name__}({str(self.path)!r}, {self.steps} steps, {state})"
+
+    # --- private ---
+    def _add(self, rows: Mapping[str, ArrayLike]) -> int:
+        """Hold rows until they are written; return their number."""
+        self._require_open()
+        arrays = native_rows(rows)
+        if self._rows is None:
+            self._rows = self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
+        before = self._rows.steps
+        self._rows.add(arrays)
+        return self._rows.steps - before
+
+    def _shut(self) -> None:
+        self.closed = True
+        self._file.shut()
+
+    def _require_open(self) -> None:
+        if self.closed or self._finished:
+            raise InputError(
+                f"This recording is closed; nothing can be added to it: {self.path}", code="H3-RECORDING-012"
+            )
+
+    def _open_channels(self) -> None:
+        channels = [self._struct_channel(name) for name in ("Scene", "Event", "Skill")]
+        self._scene_channel, self._event_channel, self._skill_channel = channels
+
+    def _struct_channel(self, name: str) -> int:
+        schema = self._mcap.register_schema(f"h3.{name}", "protobuf", struct_descriptor())
+        return self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema)
+
+    def _write_skill(self, span: SkillSpan, number: int) -> None:
+        data = encode_record("h3.Skill", {**struct_to_dict(span), "span": number})
+        t = self._log_time(self._time_of(span.end_step))
+        with self._file.writing():
+            self._mcap.add_message(self._skill_channel, t, data, t)
+        # a span that is written again keeps its number
+        self._spans = max(self._spans, number + 1)
+
+    def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
+        """Take the columns from arrays without rows, check them against the header and announce them in the file."""
+        layout = layout_of(empty)
+        h = self.header
+        # only for its checks, which refuse columns that do not fit the header before anything is written
+        Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
+        with self._file.writing():
+            self._mcap.add_metadata("h3.layout", {"columns": layout_to_json(layout), "hash": layout_hash(layout)})
+            for topic, fields in wire_layouts(layout).items():
+                message = TOPIC_MESSAGES[topic]
+                descriptor = step_descriptor(message, fields)
+                schema = self._mcap.register_schema(f"h3.{message}", "protobuf", descriptor)
+                channel = self._mcap.register_channel(f"/h3/{topic}", "protobuf", schema, fields_to_metadata(fields))
+                self._topics[topic] = (channel, fields)
+        return PendingRows(layout)
+
+    def _write_pending(self) -> None:
+        """Encode the rows since the last flush as one block and add its messages to the open chunk."""
+        rows = {} if self._rows is None else self._rows.take()
+        if self._rows is None or not rows:
+            return
+        first = self._rows.taken - len(rows["time_ns"])
+        messages = []
+        for channel, fields in self._topics.values():
+            block = encode_block(fields, rows, first_step=first)
+            messages.append((channel, block.tobytes(), block.shape[1]))
+        self._blocks += 1
+        # looked up once: this loop runs for every step of every topic
+        add = self._mcap.add_message
+        for k, time_ns in enumerate(rows["time_ns"].tolist()):
+            t = self._log_time(time_ns)
+            for channel, data, size in messages:
+                # the sequence number of MCAP has 32 bits
+                add(channel, t, data[k * size : (k + 1) * size], t, (first + k) & 0xFFFFFFFF)
+
+    def _time_of(self, step: int) -> int:
+        return 0 if self._rows is None else self._rows.time_of(step)
+
+    def _log_time(self, time_ns: int) -> int:
+        return log_time(self._t0, time_ns)
 
 
 def write_mcap(
@@ -94,7 +398,7 @@ def write_mcap(
             with open_binary(written) as stream:
                 target.put(stream)
         return target
-    with LogWriter(target, recording, overwrite=overwrite, share_in=share_in) as writer:
+    with RecordingWriter(target, recording, overwrite=overwrite, share_in=share_in, compact=False) as writer:
         writer.append_recording(recording)
     return writer.path
 
@@ -114,8 +418,14 @@ def pack_mcap(
     packed = path.with_name(f".{path.name}.compact")
     try:
         recording = read_mcap(path)
-        with LogWriter(
-            packed, recording, overwrite=True, t0_unix_ns=t0_unix_ns, share_in=share_in, chunk_bytes=chunk_bytes
+        with RecordingWriter(
+            packed,
+            recording,
+            overwrite=True,
+            t0_unix_ns=t0_unix_ns,
+            share_in=share_in,
+            chunk_bytes=chunk_bytes,
+            compact=False,
         ) as writer:
             writer.append_recording(recording)
         publish(packed, path)

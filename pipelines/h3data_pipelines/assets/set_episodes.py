@@ -8,7 +8,6 @@ from h3data.scene.scene_sets import SceneEntry, SceneSet
 from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import ROBOT_BODY
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav.episode import stored_episode
 from sim_kinematic.tasks.social_nav.task import SocialNav
 
 
@@ -33,4 +32,5 @@ def sampled_episode(
     """Return the episode of a seed in a scene under these rules, for one robot."""
     free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
     scene, body = open_scene(source), robot or ROBOT_BODY
-    return stored_episode(SocialNav().episode(scene, seed=seed, spec=spec, free=free, robot=body))
+    task = SocialNav()
+    return task.codec.record(task.episode(scene, seed=seed, spec=spec, free=free, robot=body))

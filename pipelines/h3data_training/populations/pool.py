@@ -23,10 +23,10 @@ from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.tasks.episode import Starts
 from sim_kinematic.tasks.rearrange.codec import goal_record, target_of
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.sources import Home
 
 if TYPE_CHECKING:

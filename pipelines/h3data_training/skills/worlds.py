@@ -13,10 +13,9 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import load_robot
-from h3data_training.envs.torch_env import places_in_bank
 from h3data_training.held import ActionRepeat
 from h3data_training.skills.settings import SkillSettings
-from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
+from h3data_training.torch.graph import can_fuse, fused, overwrite
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.teacher import taught
 from h3data_training.torch.skills.worlds import SkillTensors
@@ -43,7 +42,7 @@ class ActionRepeatSkills(ActionRepeat):
         count: int | None = None,
     ) -> None:
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
-        self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
+        super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.limit, self._by_sight = settings.limit, "way" not in settings.observations
         starts = bank.with_near(settings.near_share)
         if settings.reaching_share:
@@ -54,7 +53,6 @@ class ActionRepeatSkills(ActionRepeat):
         self._names = tuple(name for name in told if name != "arm_depth")
         worlds, where = self.num_envs, self.device
         self.play = self.sim.before_the_first(torch.full((worlds,), -1, dtype=torch.int64, device=where))
-        self._make_totals(worlds, where)
         self.shown = torch.arange(worlds, device=where) < round(settings.demonstrations * worlds)
         self._action = torch.zeros(worlds, self.sim.action_width, device=where)
         self._shown: dict[str, Tensor] = {}
@@ -65,7 +63,6 @@ class ActionRepeatSkills(ActionRepeat):
             if "arm_depth" in settings.observations
             else None
         )
-        self._advance = self._eager
 
     def _make_cameras(self, size: tuple[int, int], *, compile: bool) -> Any:
         if self.device.type == "cuda":
@@ -79,11 +76,7 @@ class ActionRepeatSkills(ActionRepeat):
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Begin an episode in all worlds, each at the place in the bank that follows from its seed."""
         with torch.no_grad():
-            if self.device.type == "cuda" and self._advance == self._eager:
-                self._advance = captured(self._eager, list(self.play.tensors()))
-            self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.sim.bank)) - 1)
-            self.play.ended.fill_(True)
-            self._action.zero_()
+            self._begin(seed)
             hold, self.hold = self.hold, 1
             self._eager()
             self.hold = hold

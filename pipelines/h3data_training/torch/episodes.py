@@ -20,10 +20,9 @@ from sim_kinematic.agents.waypoint_walker import WaypointHuman
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HUMAN
 from sim_kinematic.policies.assignment import resolve_policy
-from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.episode import Episode, Starts
 from sim_kinematic.tasks.rearrange.episode import PAIR
 from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
-from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
 

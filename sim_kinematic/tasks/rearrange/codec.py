@@ -53,7 +53,7 @@ from sim_kinematic.tasks.codec import (
     starts_on_floor,
     uid_of,
 )
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Starts, rules_dict, sample_pair_starts
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
@@ -69,7 +69,6 @@ from sim_kinematic.tasks.rearrange.episode import (
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
-from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 
 class RearrangeCodec(EpisodeCodec[StoredRearrangement]):

@@ -49,9 +49,8 @@ from sim_kinematic.motion.spec import (
     WalkerSpec,
 )
 from sim_kinematic.policies.skills.names import recorded_skills
-from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.episode import Episode, Starts, sample_pair_starts
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
-from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 PAIR = ("robot", "human")
 """The paper's agents."""

@@ -36,7 +36,7 @@ from sim_kinematic.policies.rearrange import (
 from sim_kinematic.policies.searching import Seeking
 from sim_kinematic.sensing.table import SENSES, TABLE, Sensor
 from sim_kinematic.tasks.control import Control
-from sim_kinematic.tasks.episode import Episode, StepOutcome
+from sim_kinematic.tasks.episode import Episode, Starts, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
 from sim_kinematic.tasks.rearrange.episode import (
     ORACLE_RULES,
@@ -49,7 +49,6 @@ from sim_kinematic.tasks.rearrange.episode import (
 )
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.skills.control import SkillControl
-from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 

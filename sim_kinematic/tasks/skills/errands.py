@@ -20,9 +20,7 @@ from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands, robot_stands
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import OracleSpec
-from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
 Stands = tuple[Array, Callable[[Array], bool]]
@@ -50,7 +48,7 @@ def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = 
         # paths to the places where the agent takes and puts down each object
         starts = np.array([target.start[:3] for target in episode.targets], np.float64)
         goals = np.array([target.goal for target in episode.targets], np.float64)
-        floor = agent_floor(episode, number)
+        floor = episode.floor(number)
         handles, count = openables.handles(openables.positions)[list(parts)], len(starts)
         ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals, *handles])]
         known[number] = SubGoals(
@@ -70,7 +68,7 @@ def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) ->
     For each point they are the nearest to the agent's start and the nearest to the stands of each other point, among
     those with room for the agent's reach.
     """
-    floor, start = agent_floor(episode, number), episode.starts[number, :2]
+    floor, start = episode.floor(number), episode.starts[number, :2]
     stands = [list(_stands(episode, number, floor, point)) for point in points]
     near = [_nearest(floor, one, start) for one in stands]
     found = []
@@ -90,7 +88,7 @@ def _stands(episode: RearrangeEpisode, number: int, floor: FreeSpace, point: Arr
     island = island_of(floor, episode.starts[number, :2])
     if isinstance(body, Robot):
         clearance = arm_clearance(scene, body, floor_y)
-        stands = robot_stands(floor, body, agent_base(episode, number), point, island=island)
+        stands = robot_stands(floor, body, episode.bases[number], point, island=island)
         # with room for the whole arm if possible, else with a free line from shoulder to point
         for test in (clearance.is_clear, clearance.is_open):
             yield stands, partial(test, point=point)

@@ -47,7 +47,6 @@ from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.stand_offs import TaskProgress
-from sim_kinematic.controllers.skill import IDLE_SKILLS, SkillController
 from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.rearrange_observations import exact
@@ -55,9 +54,10 @@ from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import CloseView, RearrangeView
 from sim_kinematic.sensing.sight import LOOK_STEPS, Places, Sight
 from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.control import Columns, Team
 from sim_kinematic.tasks.rearrange.episode import body_indices
+from sim_kinematic.tasks.skills.controller import IDLE_SKILLS, SkillController
 from sim_kinematic.tasks.skills.errands import errands_of
-from sim_kinematic.tasks.team import Columns, Team
 from sim_kinematic.world import Command
 
 CONTACT = "contact"

@@ -19,8 +19,6 @@ from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
-from sim_kinematic.agents.waypoint_walker import HumanPlan
-from sim_kinematic.avoidance.robot_base import agent_base
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
@@ -31,13 +29,13 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.control import Control, VelocityControl
-from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
+from sim_kinematic.tasks.control import Control
+from sim_kinematic.tasks.episode import Episode, StepOutcome, sample_pair_starts
+from sim_kinematic.tasks.motion import VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
-from sim_kinematic.tasks.social_nav.codec import SocialNavCodec
-from sim_kinematic.tasks.social_nav.episode import goals_of, plan_of, sample_pair_starts
+from sim_kinematic.tasks.social_nav.codec import SocialNavCodec, plan_of
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
@@ -65,16 +63,8 @@ class SocialNavState:
     """Number of the goal that a scripted person walks to, -1 before the first one and for people without a script."""
     leg: NDArray[np.int64]
     """Index of the way point within the path to the goal."""
-    plan: HumanPlan | None = None
-    """Whole walk of the scripted person, once it has been asked for."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
-
-    def whole_walk(self, episode: Episode) -> HumanPlan:
-        """Return the scripted person's walk from the start to the time limit."""
-        if self.plan is None:
-            self.plan = plan_of(episode)
-        return self.plan
 
 
 class SocialNav(Task):
@@ -125,7 +115,7 @@ class SocialNav(Task):
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Return the maker of a learned policy or expert of the robot, or of the person's walk; None for other names."""
+        """Return the maker of a learned policy or expert of the robot; None for other names."""
         if kind == "robot" and is_learned(name):
             network = network_of(name)
             if spec is not None:
@@ -135,16 +125,12 @@ class SocialNav(Task):
             def learned(episode: Episode, number: int) -> AssignedPolicy:
                 with naming(name):
                     player = navigation_of(network, SocialNav.name, robot=episode.roster[number].model)
-                return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+                return AssignedPolicy(FunctionPolicy(player, episode.bases[number]), stamped(name), kind)
 
             return learned
         if kind == "robot" and name in EXPERTS:
             return lambda episode, number: AssignedPolicy(
-                Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind
-            )
-        if kind == "human" and name == "waypoints":
-            return lambda episode, number: AssignedPolicy(
-                WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode)), name, kind
+                Maneuvering(POLICIES[name], episode.bases[number]), name, kind
             )
         return None
 
@@ -157,7 +143,7 @@ class SocialNav(Task):
         was, was_person = play.world.before.agents
         episode, step = play.episodes[world], int(play.steps[world])
         return SocialNavView(
-            agent_floor(episode, ROBOT),
+            episode.floor(ROBOT),
             robot.xz[world].copy(),
             float(robot.heading[world]),
             person.xz[world].copy(),
@@ -176,7 +162,7 @@ class SocialNav(Task):
         """Return a function that gives the person's positions from this step on; None: nobody knows them."""
         policy = play.policies[HUMAN].policy if play.policies else None
         if isinstance(policy, WaypointPolicy):
-            return lambda: play.memory.whole_walk(play.episode).xz[step:]
+            return lambda: plan_of(play.episode).xz[step:]
         track = getattr(policy, "track", None)
         return None if track is None else lambda: track()[step:]
 
@@ -200,7 +186,7 @@ class SocialNav(Task):
         state: SocialNavState = play.memory
         state.collisions[rows] = 0
         state.found[rows] = state.success[rows] = state.collides[rows] = False
-        state.goal[rows], state.leg[rows], state.plan, state.track = -1, 0, None, []
+        state.goal[rows], state.leg[rows], state.track = -1, 0, []
         self._look(play, rows)
         if state.rewards is not None:
             fresh = np.zeros(worlds, np.bool_)

@@ -24,7 +24,7 @@ from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.social_nav.episode import rules_of, stored_episode
+from sim_kinematic.tasks.social_nav import SocialNav
 from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 RULES = ArmRoomSpec()
@@ -173,7 +173,8 @@ def test_the_arms_are_recorded_and_come_out_again(home: Scene, free: FreeSpace) 
     hand = JOINT_INDEX["left_wrist"]
     there, swung = (r.joint_matrices(1, np.array([step]))[0, hand, :3, 3] for r in (replay, without))
     assert np.linalg.norm(there - swung) > 0.02
-    assert rules_of(stored_episode(world)) == world.spec
+    codec = SocialNav().codec
+    assert codec.rules(codec.record(world)) == world.spec
 
 
 def test_recordings_from_before_are_simulated_as_they_were(home: Scene, free: FreeSpace) -> None:

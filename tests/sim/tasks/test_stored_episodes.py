@@ -27,8 +27,11 @@ from h3data_pipelines.assets.set_episodes import sampled_episode, set_episode
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav.episode import episode_from, goals_of, rules_of, stored_episode
+from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.social_nav.codec import episode_from, goals_of
 from tests.simulated import simulate_social_nav, social_nav_episode
+
+CODEC = SocialNav().codec
 
 HOME = HomeSpec(seed=1)
 SET_TEXT = """
@@ -115,8 +118,8 @@ def test_a_stored_episode_plays_like_the_drawn_one() -> None:
     spec = SocialNavSpec(max_steps=200)
     free = open_free_space(HOME, spec.agent_radius_m, spec.agent_height_m)
     drawn = social_nav_episode(open_scene(HOME), seed=5, spec=spec, free=free)
-    stored = episode_from(stored_episode(drawn), drawn.scene, free=free)
-    assert stored_episode(stored) == stored_episode(drawn)
+    stored = episode_from(CODEC.record(drawn), drawn.scene, free=free)
+    assert CODEC.record(stored) == CODEC.record(drawn)
     a, b = simulate_social_nav(drawn), simulate_social_nav(stored)
     for name, column in a.columns.items():
         np.testing.assert_array_equal(column, b.columns[name], err_msg=name)
@@ -145,14 +148,14 @@ def test_the_person_goes_where_the_episode_says() -> None:
 
 def test_rules_come_with_the_episode() -> None:
     episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=77, near_m=0.9))
-    assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
+    assert CODEC.rules(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
-    assert rules_of(bare) == SocialNavSpec(max_steps=77, robot=BaseSpec(), human=WalkerSpec())  # as in the paper
+    assert CODEC.rules(bare) == SocialNavSpec(max_steps=77, robot=BaseSpec(), human=WalkerSpec())  # as in the paper
     assert [member.model for member in episode_from(bare, open_scene(HOME)).roster] == ["quad_arm", "female_0"]
     assert episode_from(episode, open_scene(HOME), human="male_0").roster[1].model == "male_0"
     for rules in ({"near_m": "x"}, {"max_steps": 0}, {"human": {"speed_mps": -1}}, {"human": {"speed_mps": 1e9}}):
         with pytest.raises(InputError, match=r"H3-TASK-0(49|52)"):
-            rules_of(msgspec.structs.replace(episode, rules=rules))
+            CODEC.rules(msgspec.structs.replace(episode, rules=rules))
     with pytest.raises(InputError, match=r"(?s)yeti.*H3-BODY-072"):
         episode_from(msgspec.structs.replace(episode, human="humanoid/yeti"), open_scene(HOME))
 

@@ -14,7 +14,6 @@ from h3data_play.app import Hud
 from h3data_play.apps.rearrange import RearrangeApp
 from h3data_play.drivers import Driver, PersonDriver
 from h3data_play.messages import Act, Drop, Give, Pick, Place
-from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
 
 MARK_AHEAD_M = 2.5
@@ -135,7 +134,7 @@ class TutorialApp(RearrangeApp):
     def _mark(self, number: int) -> Array:
         """A point of the floor on the longer one of the paths to the thing and to its place."""
         target = self.session.episode.targets[0]  # type: ignore[attr-defined]
-        start, free = self.session.episode.starts[number, :2], agent_floor(self.session.episode, number)
+        start, free = self.session.episode.starts[number, :2], self.session.episode.floor(number)
         paths = [free.path(start, point[[0, 2]], max_snap_m=SNAP_M) for point in (target.start, target.goal)]
         path = max(paths, key=_length)
         return _along(path, min(MARK_AHEAD_M, 0.7 * _length(path))) if len(path) else start.copy()

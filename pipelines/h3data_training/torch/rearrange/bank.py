@@ -21,7 +21,6 @@ from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.step import Floor, refuse_stairs
 from sim_kinematic.agents.oracle.ways import PathTable, paths_to
 from sim_kinematic.policies.rearrange import partner_plan, planner
-from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.skills.errands import errands_of
@@ -280,7 +279,7 @@ def _check(episodes: Sequence[RearrangeEpisode], parts: Sequence[tuple[int, ...]
                 f"{len(episode.targets)}.",
                 code="H3-TRAIN-063",
             )
-        if agent_floor(episode, ROBOT) is not episode.free:
+        if episode.floor(ROBOT) is not episode.free:
             raise InputError(
                 f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.",
                 code="H3-TRAIN-064",

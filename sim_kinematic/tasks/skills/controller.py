@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
-
-import numpy as np
-from numpy.typing import NDArray
 
 from h3data.recording import SkillSpan
 from sim_kinematic.agents.driven.person import DrivenPerson
@@ -24,7 +21,6 @@ from sim_kinematic.agents.skills import (
     SkillResult,
 )
 from sim_kinematic.avoidance.yielding import NO_PATH
-from sim_kinematic.world import World
 
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
 """Skills whose end does not count as a completed task."""
@@ -80,10 +76,8 @@ class SkillController:
         """Let the agent choose while a skill is running; if it chooses the same skill again, the skill continues."""
         self.ending, self._interrupted = SkillResult("aborted", reason), True
 
-    def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Action]) -> None:
+    def start(self, chosen: Action) -> None:
         """Begin a skill; an infeasible one does nothing and takes one step, as in Habitat."""
-        del world, agent, rows
-        (chosen,) = action
         if self._left > 1 and isinstance(chosen.command, Message) and isinstance(self.actor, DrivenPerson):
             # people who are driven talk while they walk or a skill goes on, and choose again. A message of others is a
             # skill that takes no time, as their replays follow the spans of skills
@@ -110,9 +104,8 @@ class SkillController:
             return
         self.skill, self.ending = self.actor.start(chosen), None
 
-    def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> None:
+    def step(self) -> None:
         """Move the agent by its skill. If the skill ends at once, it takes no time, and the agent chooses again."""
-        del world, agent, rows
         if self._interrupted:
             return
         if self.skill is not None:

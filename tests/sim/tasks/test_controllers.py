@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,16 +13,14 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.recording import SkillSpan
-from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.avoidance.yielding import NO_PATH
-from sim_kinematic.controllers.motion import MotionController, command_of
-from sim_kinematic.controllers.skill import CHOICES, SkillController
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.policy import GaitAction, PoseAction, Velocity, WaypointAction
-from sim_kinematic.world import DriveCommand, GaitCommand, PoseCommand, WaypointCommand, World
+from sim_kinematic.tasks.motion import MotionController, command_of
+from sim_kinematic.tasks.skills.controller import CHOICES, SkillController
+from sim_kinematic.world import DriveCommand, GaitCommand, PoseCommand, WaypointCommand
 
-ROWS = np.zeros(1, np.intp)
 numbers = st.floats(-1.0, 1.0)
 
 
@@ -56,13 +53,13 @@ def test_other_choices_are_refused() -> None:
 
 
 def test_who_drives_chooses_in_every_step() -> None:
-    world, controller = World(make_roster("human")), MotionController("human")
+    controller = MotionController("human")
     for step in range(3):
         controller.begin(step)
         assert controller.status == "choosing"
-        controller.start(world, 0, ROWS, [Velocity(1.0, 0.0)])
+        controller.start(Velocity(1.0, 0.0))
         assert controller.status == "acting"
-        assert controller.step(world, 0, ROWS) is not None
+        assert controller.step() is not None
         assert controller.status == "acting"
 
 
@@ -98,15 +95,15 @@ class Played:
         """How often it was asked in each step."""
 
     def step(self, interrupt: str = "") -> None:
-        controller, world, asked = self.controller, Any, 0
+        controller, asked = self.controller, 0
         controller.begin(len(self.asked))
         if interrupt:
             controller.interrupt(interrupt)
         while True:
             if controller.status == "choosing":
                 asked += 1
-                controller.start(world, 0, ROWS, [self.choices.pop(0)])  # type: ignore[arg-type]
-            controller.step(world, 0, ROWS)  # type: ignore[arg-type]
+                controller.start(self.choices.pop(0))
+            controller.step()
             if controller.status != "choosing":
                 break
         self.asked.append(asked)
