@@ -173,7 +173,7 @@ def quat_from_rotvec(rotvec: ArrayLike) -> Array:
 def quat_from_heading(heading_rad: ArrayLike) -> Array:
     """Return quaternions [..., 4] of headings [...]: rotation about +Y, 0 faces +X, positive turns left."""
     if isinstance(heading_rad, float):  # also NumPy's; the same bits, in a third of the time
-        return np.array([0.0, np.sin(heading_rad / 2), 0.0, np.cos(heading_rad / 2)])
+        return np.array([0.0, math.sin(heading_rad / 2), 0.0, math.cos(heading_rad / 2)])
     half = _floating(heading_rad) / 2
     out = np.zeros((*half.shape, 4), half.dtype)
     out[..., 1], out[..., 3] = np.sin(half), np.cos(half)
@@ -369,7 +369,7 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
     if _is_single(xz) and isinstance(heading_rad, float) and isinstance(floor_y, float):
         x, z = xz.tolist()  # type: ignore[union-attr]
         half = heading_rad / 2
-        return np.array([x, floor_y, z, 0.0, np.sin(half), 0.0, np.cos(half)])
+        return np.array([x, floor_y, z, 0.0, math.sin(half), 0.0, math.cos(half)])
     xz = _floating(xz)
     q = quat_from_heading(np.asarray(heading_rad, xz.dtype))
     y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])

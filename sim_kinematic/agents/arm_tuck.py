@@ -12,6 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from h3data.bodies import Humanoid
+from h3data.bodies.people.arms import CLOSE_COLLARS, CLOSE_SHOULDERS, COLLARS, SHOULDERS
+from h3data.bodies.people.kernels.clips import tuck_all
 from h3data.bodies.people.reach import Hand
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.kernels import kernel
@@ -117,6 +119,30 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
                 arms[w, k] += min(max(asks[2 * (w - begin) + k] - arms[w, k], -rate), rate)
 
 
+@kernel(error_model="numpy")
+def draw_in_planted(sdf, origin, cell, xz, heading, arms, busy, room, quats):
+    """Move the arms of people with planted feet by one step, as `draw_arms`, and draw them in in their poses [W, 55, 4]."""
+    _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, *room)
+    tuck_all(quats, arms, SHOULDERS, CLOSE_SHOULDERS)
+    tuck_all(quats, arms, COLLARS, CLOSE_COLLARS)
+
+
+@lru_cache(maxsize=64)
+def arm_room(body: Humanoid, rules: ArmRoomSpec) -> tuple[float, ...]:
+    """Return the numbers by which `_draw_in_worlds` draws in the arms of a body."""
+    # room is measured from the line, which is `aside_m` off the middle of the body
+    width = width_m(body) - rules.aside_m
+    return (
+        rules.rate,
+        rules.aside_m,
+        width + rules.free_m,
+        width + rules.tight_m,
+        rules.within_m,
+        rules.fade_m,
+        rules.step_m,
+    )
+
+
 def draw_arms(
     state: HumanState, free: FreeSpace, body: Humanoid, rules: ArmRoomSpec | None, *, busy: Hand | None = None
 ) -> None:
@@ -127,24 +153,8 @@ def draw_arms(
     """
     if rules is None:
         return
-    # room is measured from the line, which is `aside_m` off the middle of the body
-    width = width_m(body) - rules.aside_m
-    _draw_in_worlds(
-        free.sdf,
-        free.origin,
-        free.cell_m,
-        state.xz,
-        state.heading,
-        state.arms,
-        HANDS.index(busy) if busy else -1,
-        rules.rate,
-        rules.aside_m,
-        width + rules.free_m,
-        width + rules.tight_m,
-        rules.within_m,
-        rules.fade_m,
-        rules.step_m,
-    )
+    moved, room = (state.xz, state.heading, state.arms), arm_room(body, rules)
+    _draw_in_worlds(free.sdf, free.origin, free.cell_m, *moved, HANDS.index(busy) if busy else -1, *room)
 
 
 @kernel(error_model="numpy")

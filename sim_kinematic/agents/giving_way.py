@@ -25,7 +25,7 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.contact import AgentContacts
-from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
+from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.clearance import clip_reach, robot_span
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
@@ -78,9 +78,7 @@ class GivingWay:
         self._pairs = list(combinations(range(len(actors)), 2))
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self.bodies = [agent.body for agent in roster]
-        self._capsules = [
-            RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self.bodies
-        ]
+        self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
         longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
@@ -233,13 +231,10 @@ class GivingWay:
         """Move the capsules around an agent to its present pose."""
         if not _has_changed(actor, self._gated):
             return
-        capsules = self._capsules[actor.number]
-        if isinstance(capsules, RobotCapsules):
-            assert isinstance(actor, RobotActor)
-            capsules.pose(actor.pose, actor.joints)
+        if isinstance(actor, RobotActor):
+            self._capsules[actor.number].pose(actor.pose, actor.joints)
         else:
-            assert isinstance(actor, PersonActor)
-            capsules.pose(actor.person.base, actor.person.quats, actor.person.pelvis)
+            self._capsules[actor.number].pose(actor.person.base, actor.person.quats, actor.person.pelvis)
 
     def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""

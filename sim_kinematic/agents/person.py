@@ -17,13 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
-from h3data.bodies.people.arms import ARM_JOINTS, CARRY_CLOSE, CARRY_JOINTS, draw_in
+from h3data.bodies.people.arms import ARM_JOINTS, CARRY_CLOSE, CARRY_JOINTS
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
 from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
@@ -51,8 +51,9 @@ from h3data.geometry import (
     smoothstep,
     wrap_angle,
 )
+from h3data.kernels.entries import Entries
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.arm_tuck import HANDS, draw_arms, held_close
+from sim_kinematic.agents.arm_tuck import HANDS, arm_room, draw_in_planted, held_close
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
@@ -150,6 +151,9 @@ class Transition(NamedTuple):
 
 class Person:
     """A humanoid somewhere, with a pose, and the objects that it can take."""
+
+    call: ClassVar[Entries] = Entries()
+    """Kernels called with poses: those of all people are contiguous and float64."""
 
     def __init__(
         self,
@@ -249,7 +253,7 @@ class Person:
         for hand, held in self.held.items():
             self.objects[held.name] = pose = np.empty(7)
             # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
-            hold(*self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
+            self.call(hold, *self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
 
     @property
     def joint_matrices(self) -> Array:
@@ -264,7 +268,7 @@ class Person:
     def _wrist(self, hand: Hand) -> tuple[Array, Array]:
         """Return the frame of a wrist in the world [4, 4], and the place of its palm's grasp point [3]."""
         frame = np.empty((1, 4, 4))
-        frame_of_joint(self.base, self.quats, self.pelvis, self._offsets, ARM_CHAINS[hand], frame[0])
+        self.call(frame_of_joint, self.base, self.quats, self.pelvis, self._offsets, ARM_CHAINS[hand], frame[0])
         return frame[0], (frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3])[0]
 
     def upright(self, held: Held) -> Array:
@@ -571,12 +575,12 @@ class Person:
         if bends or turns:
             quats = quats.copy()
         if bends:
-            curl_fingers(quats, self.curl)
+            self.call(curl_fingers, quats, self.curl)
         if turns:
-            # the kernel takes an array in either case; it is not read if the person looks at nothing
-            target = np.zeros(3) if self.look_at is None else self.seen(self.look_at)
+            # the kernel takes a point in either case; it is not used if the person looks at nothing
             looks, turning = self.look_at is not None, self.walk.head_turn
-            self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, looks, turning, self.gaze)
+            seen = self.base, self.base[:3] if self.look_at is None else self.look_at
+            self._to_turn = self.call(turn_gaze, self._offsets, quats, pelvis, *seen, looks, turning, self.gaze)
         return quats
 
     def curl_around(self, name: str) -> float:
@@ -606,10 +610,9 @@ class Person:
         """
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
-            drawn, rate = self._drawn, self.spec.arms.rate
-            draw_arms(drawn, self.free, self.body, self.spec.arms, busy=moving)
-            if any(drawn.arms[0].tolist()):
-                draw_in(quats[None], drawn.arms, shoulders_forward=True)
+            drawn, room, rate = self._drawn, arm_room(self.body, self.spec.arms), self.spec.arms.rate
+            where = self.free.sdf, self.free.origin, self.free.cell_m, drawn.xz, drawn.heading, drawn.arms
+            self.free.entries(draw_in_planted, *where, HANDS.index(moving) if moving else -1, room, quats[None])
             # an emptied hand goes back to 0 at the same rate, so that the next thing does not begin close
             for hand, close in self._close.items():
                 if close or hand in self.held:
@@ -655,7 +658,7 @@ class Person:
 def _blended(a: Array, b: Array, share: float) -> Array:
     """Returns rotations [J, 4] blended by a share, 0 (a) to 1 (b)."""
     out = np.empty(a.shape)
-    blend_pose(a, b, float(share), out)
+    Person.call(blend_pose, a, b, float(share), out)
     return out
 
 

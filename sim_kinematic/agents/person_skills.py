@@ -403,14 +403,12 @@ class PersonActor:
     def _stride(self, strider: Strider, *, goes: bool) -> None:
         """One step along a path; where they would touch somebody they come to a stand."""
         gait, before = self._gait_here(), self._posture()
-        # the gait moves in place, and a step that touches somebody has to be taken back
-        stopped = gait.copy()
-        xz, heading = strider.step(self.xz, gait.heading.item(0), goes=goes)
-        move_people(gait, xz[None], np.array([heading]), self.spec)
+        was = strider.walk(gait, goes=goes)
         self.person.stride(gait)
         if self.meets():
+            # the gait has moved in place, and a step that touches somebody is taken back
+            gait.xz[0], gait.heading[0], gait.distance[0], gait.set_off[0], gait.blend[0] = was[:2], *was[2:]
             strider.halt()
-            self._gait = stopped
             self._take(before)
             self._pace(None)
             return

@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import are_clear, integrate_along, wrap_angle
+from sim_kinematic.motion.state import RobotState
+from sim_kinematic.motion.step import are_clear, drive_worlds, integrate_along, wrap_angle
 
 # standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)])
@@ -77,17 +78,17 @@ def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base,
 
 @kernel(error_model="numpy")
 def choose_command(
-    sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, levels, gaps
+    sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, gaps
 ):
-    """Return the number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
+    """Return the number of the candidate that `keep_clear` chooses, -1: the command that is ``wanted``.
 
     Others [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``; ``before`` is NaN where it does
-    not count. ``gaps`` [N] is room to work in.
+    not count, otherwise the last candidate. ``gaps`` [N] is room to work in.
     """
     (max_speed, max_turn), (still_margin, gap_weight, heading_weight, turn_weight, change_weight) = limits, costs
     # a robot that stands too near to somebody already could not leave if it had to keep more than it has
     if others[:, 6].any():
-        forward, turn = levels[0, 0] * max_speed, levels[0, 1] * max_turn  # of standing still
+        forward, turn = _CANDIDATES[0, 0] * max_speed, _CANDIDATES[0, 1] * max_turn  # of standing still
         try_command(
             sdf, origin, cell, pose, forward, turn, math.inf, math.inf, others, base, hull, rules, math.inf, gaps
         )
@@ -101,8 +102,8 @@ def choose_command(
     if lacks <= 0.0:
         return -1
     best, least, counts = -1, math.inf, not math.isnan(before[0])
-    for c in range(len(levels)):
-        forward, turn = levels[c]
+    for c in range(len(_CANDIDATES) + counts):
+        forward, turn = (_CANDIDATES[c, 0], _CANDIDATES[c, 1]) if c < len(_CANDIDATES) else before
         # only the worst gap counts: more room on one side must not make up for less on the other
         x, z, heading, lacks = try_command(
             sdf,
@@ -145,78 +146,142 @@ class ObstacleDisc(NamedTuple):
     """Gap to be kept between robot and disc."""
 
 
+@kernel(error_model="numpy")
+def _within(wanted, before, up, down):
+    """Return the value nearest to ``wanted`` if the size of ``before`` may grow by ``up`` and shrink by ``down``."""
+    # mirrored, because to brake is to make a number smaller in size, whatever its sign
+    sign = -1.0 if before < 0.0 else 1.0
+    value, least, most = sign * wanted, max(sign * before - down, -up), sign * before + up
+    # of equal numbers the first, as Python's `min` and `max`: 0.0 and -0.0 differ in recordings
+    value = least if least > value else value
+    return sign * (most if most < value else value)
+
+
+@kernel(error_model="numpy")
+def clear_step(
+    sdf, origin, cell, xz, heading, contact, wanted, goal, length, others, base, target, before, eases, drives
+):
+    """Choose the command of a robot's base in a step, and drive by it; return what is kept clear of others, and that command.
+
+    Args:
+        sdf: signed distances of the floor's grid [m].
+        origin: position of the grid.
+        cell: size of its cells [m].
+        xz: place of the base [1, 2].
+        heading: its heading [1].
+        contact: whether it touches an obstacle [1]; these three are changed in place.
+        wanted: command (forward, turn: -1..1 of the limits).
+        goal: floor point [2] to which it is going.
+        length: distance to the goal [m].
+        others: rows of `choose_command` [N, 7].
+        base: `base_numbers` of the base.
+        target: command that kept clear of others in the last step; NaN where it does not count.
+        before: command of the last step.
+        eases: whether it goes over from ``before`` gradually, unless it has to keep clear of somebody.
+        drives: whether it drives; otherwise nothing is changed.
+    """
+    keeps, (offsets, hull, limits, radius, sliding, wall, rules, costs, rates) = wanted, base
+    if len(others):
+        # close to the goal its bearing turns around with every centimetre
+        bearing = math.atan2(-(goal[1] - xz[0, 1]), goal[0] - xz[0, 0])
+        chosen = choose_command(
+            sdf,
+            origin,
+            cell,
+            (xz[0, 0], xz[0, 1], heading[0]),
+            goal,
+            wanted,
+            length,
+            abs(wrap_angle(bearing - heading[0])) if length > 0.1 else math.inf,
+            others,
+            (offsets, wall),
+            hull,
+            (limits[0], limits[2]),
+            rules,
+            costs,
+            target,
+            np.empty(len(others)),
+        )
+        if chosen >= 0:
+            keeps = (_CANDIDATES[chosen, 0], _CANDIDATES[chosen, 1]) if chosen < len(_CANDIDATES) else target
+    command = keeps
+    # what keeps it clear of somebody is done at once: eased, it came 12 cm nearer to a person than it wanted
+    if eases and keeps == wanted:
+        # it stops turning at once, to end where it wants to
+        command = _within(keeps[0], before[0], rates[0], rates[1]), _within(keeps[1], before[1], rates[2], 1.0)
+    if drives:
+        action = np.array(command).reshape(1, 2)
+        drive_worlds(sdf, origin, cell, xz, heading, contact, action, limits, STEP_S, offsets, radius, *sliding)
+    return keeps, command
+
+
 def keep_clear(
     free: FreeSpace,
-    base: BaseSpec,
-    xz: NDArray,
-    heading: float,
+    base: tuple[Any, ...],
+    state: RobotState,
     wanted: tuple[float, float],
     towards: NDArray,
     others: Sequence[ObstacleDisc],
+    target: tuple[float, float] | None = None,
     before: tuple[float, float] | None = None,
-) -> tuple[float, float]:
+    *,
+    drives: bool = False,
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
-    most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.
+    most, then the path to ``towards`` [2], then what differs little from the command ``target``, if that counts. The second
+    result is the command of this step: eased from the command ``before``, if that counts and nobody has to be kept clear of.
+
+    Args:
+        free: the floor.
+        base: `base_numbers` of the base.
+        state: where the base is; with ``drives`` it makes the step, sliding strictly, except on stairs.
+        wanted: wanted command.
+        towards: floor point [2] to which it is going.
+        others: discs of the others.
+        target: first result of the last step.
+        before: second result of the last step.
+        drives: whether the base makes the step.
     """
-    spec, here, goal = AVOIDANCE, tuple(xz.tolist()), tuple(towards.tolist())
-    rows = []
-    for (x, z), velocity, settled, radius_m, margin_m in others:
+    (x, z), (goal_x, goal_z), rows = state.xz[0].tolist(), towards.tolist(), []
+    for (to_x, to_z), velocity, settled, radius_m, margin_m in others:
         # an agent that is far away cannot matter within the horizon, and most steps end here
-        if math.hypot(x - here[0], z - here[1]) <= spec.range_m:
-            rows.append((x, z, *velocity, base.disc_radius_m + radius_m, margin_m, settled))
-    if not rows:
-        return wanted
-    dx, dz = goal[0] - here[0], goal[1] - here[1]
-    length = math.hypot(dx, dz)
-    # close to the goal its bearing turns around with every centimetre
-    arc = abs(wrap_angle.py_func(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
-    levels = _CANDIDATES if before is None else np.concatenate([_CANDIDATES, [before]])
-    offsets, hull = _discs(base)
-    chosen = free.entries(
-        choose_command,
-        free.sdf,
-        free.origin,
-        free.cell_m,
-        (*here, heading),
-        goal,
+        if math.hypot(to_x - x, to_z - z) <= AVOIDANCE.range_m:
+            rows.append((to_x, to_z, *velocity, base[3] + radius_m, margin_m, settled))
+    return free.entries(
+        clear_step,
+        *(free.sdf, free.origin, free.cell_m),
+        *(state.xz, state.heading, state.contact),
         (float(wanted[0]), float(wanted[1])),
-        length,
-        arc,
-        np.array(rows, np.float64),
-        (offsets, base.disc_radius_m - spec.wall_tolerance_m),
+        (goal_x, goal_z),
+        math.hypot(goal_x - x, goal_z - z),
+        np.array(rows, np.float64).reshape(-1, 7),
+        base,
+        # NaN rather than None: the kernel is compiled for one type
+        (math.nan, math.nan) if target is None else target,
+        (0.0, 0.0) if before is None else before,
+        before is not None,
+        drives,
+    )
+
+
+def base_numbers(base: BaseSpec) -> tuple[Any, ...]:
+    """Return the numbers of a base that `clear_step` takes."""
+    spec, speed, (offsets, hull) = AVOIDANCE, STEP_S / base.max_speed_mps, _discs(base)
+    limits = (base.max_speed_mps, base.max_lateral_mps, base.max_turn_rad_s, float(base.allow_back))
+    sliding = (base.clearance_tolerance_m, base.contact_tolerance_m, base.farthest_m(STEP_S))
+    return (
+        offsets,
         hull,
-        (float(base.max_speed_mps), float(base.max_turn_rad_s)),
+        tuple(map(float, limits)),
+        float(base.disc_radius_m),
+        (base.slide_iterations, *map(float, sliding)),
+        float(base.disc_radius_m - spec.wall_tolerance_m),
         (spec.horizon_steps, spec.stride_steps, spec.doubt_mps, STEP_S),
         (spec.still_margin_m, spec.gap_weight, spec.heading_weight_m, spec.turn_weight_m, spec.change_weight_m),
-        # NaN rather than None: the kernel is compiled for one type
-        (math.nan, math.nan) if before is None else before,
-        levels,
-        np.empty(len(rows)),
+        (spec.accel_mps2 * speed, spec.brake_mps2 * speed, spec.turn_accel_rad_s2 * STEP_S / base.max_turn_rad_s),
     )
-    if chosen < 0:
-        return wanted
-    forward, turn = levels[chosen].tolist()
-    return forward, turn
-
-
-def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """Return the command (forward, turn: -1..1 of the limits) one step further from ``before`` towards ``wanted``.
-
-    It stops turning at once, to end where it wants to.
-    """
-    spec, speed = AVOIDANCE, STEP_S / base.max_speed_mps
-    forward = _within(wanted[0], before[0], spec.accel_mps2 * speed, spec.brake_mps2 * speed)
-    return forward, _within(wanted[1], before[1], spec.turn_accel_rad_s2 * STEP_S / base.max_turn_rad_s, 1.0)
-
-
-def _within(wanted: float, before: float, up: float, down: float) -> float:
-    """Return the value nearest to ``wanted`` if the size of ``before`` may grow by ``up`` and shrink by ``down``."""
-    # mirrored, because to brake is to make a number smaller in size, whatever its sign
-    if before < 0.0:
-        return -_within(-wanted, -before, up, down)
-    return min(max(wanted, before - down, -up), before + up)
 
 
 def braking_speed(accel: float, left: float, last: float = 0.0) -> float:

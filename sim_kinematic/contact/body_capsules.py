@@ -7,52 +7,39 @@ A step of rearrangement asks up to five times whether agents touch, and they alm
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.bodies.people.kernels.clips import joint_frames
+from h3data.bodies.people.kernels.clips import joint_frames, write_frame
 from h3data.bodies.people.skeleton import PARENT_ARRAY
 from h3data.bodies.robots.kinematics import link_frames
-from h3data.geometry import Array, pose_to_matrix
+from h3data.geometry import Array
 from h3data.kernels import kernel
+from h3data.kernels.entries import Entries
 from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.agent_contact import NEAR_M, any_near
 
 
-class RobotCapsules:
-    """The capsules of a robot's links."""
+class AgentCapsules:
+    """The capsules of a robot's links, or of a person's bones."""
 
-    def __init__(self, robot: Robot) -> None:
-        links, ends, self.radii = _robot_capsules(robot)
+    def __init__(self, body: Humanoid | Robot) -> None:
+        self._kernel, self._args, self.radii, self._call = _capsules_of(body)
         # frames and ends are filled in place, so that posing allocates nothing
-        self._args = (links, ends, np.ascontiguousarray(robot.to_base, np.float64), *robot.joint_tree)
-        self._frames = np.empty((1, len(robot.links), 4, 4))
-        self.ends = np.empty_like(ends)
-        """In the world, as last posed, [n, 2, 3] [m]."""
+        self._frames, self.ends = np.empty((1, len(self._args[2]), 4, 4)), np.empty_like(self._args[1])
+        """Ends in the world, as last posed, [n, 2, 3] [m]."""
 
-    def pose(self, base: Array, joints: Array) -> None:
-        """Pose the robot with its root at a pose7 [7] in the world and joint positions [J]."""
-        _pose_robot(pose_to_matrix(base), joints[None], *self._args, self._frames, self.ends)
+    def pose(self, base: Array, *posture: Array) -> None:
+        """Pose the agent with its root at a pose7 [7] in the world: a robot by its joint positions [J].
 
-
-class PersonCapsules:
-    """The capsules of a person's bones."""
-
-    def __init__(self, body: Humanoid) -> None:
-        joints, ends, self.radii = _person_capsules(body)
-        self._args = joints, ends, body.joint_offsets, PARENT_ARRAY
-        self._frames = np.empty((1, len(PARENT_ARRAY), 4, 4))
-        self.ends = np.empty_like(ends)
-        """In the world, as last posed, [n, 2, 3] [m]."""
-
-    def pose(self, base: Array, quats: Array, pelvis: Array) -> None:
-        """Pose the person with their root at a pose7 [7] in the world, local rotations [55, 4] and the pelvis [3]."""
-        _pose_person(base[None], quats[None], pelvis[None], *self._args, self._frames, self.ends)
+        A person by local rotations [55, 4] and the pelvis [3].
+        """
+        self._call(self._kernel, base, *(part[None] for part in posture), *self._args, self._frames, self.ends)
 
 
-def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
+def may_touch(a: AgentCapsules, b: AgentCapsules) -> bool:
     """Return whether `AgentContacts` must be asked: two capsules are within twice `NEAR_M`."""
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
@@ -60,28 +47,31 @@ def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsul
     return bool(any_near(a.ends, a.radii, b.ends, b.radii, margin_m))
 
 
-@lru_cache(maxsize=32)
-def _robot_capsules(robot: Robot) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the links [n] of a robot's capsules, their ends [n, 2, 3] in the frames of the links and radii [n] [m]."""
-    capsules = [(k, *bounding_capsule(shape)) for k, link in enumerate(robot.links) for shape in link.shapes]
-    links = np.array([k for k, *_ in capsules], np.int64)
-    ends = np.array([[start, end] for _, start, end, _ in capsules], np.float64).reshape(-1, 2, 3)
-    return links, ends, np.array([radius for *_, radius in capsules], np.float64)
+@lru_cache(maxsize=64)
+def _capsules_of(body: Humanoid | Robot) -> tuple[Any, tuple[Any, ...], Array, Entries]:
+    """Return the kernel that poses a body's capsules and its arguments, the radii [n] [m], and what calls the kernel.
 
-
-@lru_cache(maxsize=32)
-def _person_capsules(body: Humanoid) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the joints [n] of a person's capsules, their ends [n, 2, 3] in the frames of the joints and radii [n] [m]."""
-    joints = np.array([capsule.joint for capsule in body.capsules], np.int64)
-    ends = np.array([[capsule.start, capsule.end] for capsule in body.capsules], np.float64)
-    return joints, ends, np.array([capsule.radius for capsule in body.capsules], np.float64)
+    The first arguments are the links or joints [n] of the capsules, their ends [n, 2, 3] in the frames of these [m], and an
+    array with a row for each link or joint.
+    """
+    found: list[tuple[Any, ...]] = [
+        (one.joint, one.start, one.end, one.radius) for one in getattr(body, "capsules", ())
+    ]
+    kernel, rest = _pose_person, (getattr(body, "joint_offsets", None), PARENT_ARRAY)
+    if isinstance(body, Robot):
+        found = [(k, *bounding_capsule(shape)) for k, link in enumerate(body.links) for shape in link.shapes]
+        kernel, rest = _pose_robot, (*body.joint_tree, np.ascontiguousarray(body.to_base, np.float64))
+    of, ends = np.array([k for k, *_ in found], np.int64), np.array([[start, end] for _, start, end, _ in found])
+    args = of, ends.astype(np.float64).reshape(-1, 2, 3), *rest
+    return kernel, args, np.array([radius for *_, radius in found], np.float64), Entries()
 
 
 @kernel(error_model="numpy")
 def _pose_robot(
-    root, joints, links, ends, to_base, parents, origins, kinds, axes, columns, gains, offsets, frames, out
+    pose, joints, links, ends, parents, origins, kinds, axes, columns, gains, offsets, to_base, frames, out
 ):
-    base = np.zeros((1, 4, 4))
+    base, root = np.zeros((1, 4, 4)), np.eye(4)
+    write_frame(np.eye(4), (pose[3], pose[4], pose[5], pose[6]), pose[0], pose[1], pose[2], root)
     for i in range(4):
         for j in range(4):
             for k in range(4):
@@ -91,8 +81,8 @@ def _pose_robot(
 
 
 @kernel(error_model="numpy")
-def _pose_person(base, quats, pelvis, joints, ends, offsets, parents, frames, out):
-    joint_frames(base, quats, pelvis, offsets, parents, frames)
+def _pose_person(pose, quats, pelvis, joints, ends, offsets, parents, frames, out):
+    joint_frames(pose.reshape(1, 7), quats, pelvis, offsets, parents, frames)
     _move(frames[0], joints, ends, out)
 
 

@@ -227,9 +227,10 @@ def velocities(action, limits):
 
 
 @kernel(error_model="numpy")
-def _drive_worlds(
+def drive_worlds(
     sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance, touch, most
 ):
+    """`drive_base` in W worlds, in place; return the first of them whose action [W, 2 or 3] is not finite, -1 if all are."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
@@ -309,7 +310,7 @@ def drive_robots(
     moved = state.xz, state.heading, state.contact
     offsets = _offsets(spec.disc_offsets_m)
     if spec.slide == "strict":
-        broken = _drive_worlds(
+        broken = drive_worlds(
             free.sdf,
             free.origin,
             free.cell_m,

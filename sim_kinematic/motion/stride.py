@@ -20,7 +20,9 @@ from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf
+from sim_kinematic.motion.gait import step_cycle
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.step import push_out, wrap_angle
 
 PROGRESS_M = 0.02
@@ -211,6 +213,57 @@ def stride_step(
 
 
 @kernel(error_model="numpy")
+def stride_gait(
+    sdf,
+    origin,
+    cell,
+    heights,
+    radius,
+    path,
+    cumulative,
+    goes,
+    halts,
+    facing,
+    state,
+    speed,
+    limits,
+    patience,
+    dt,
+    xz,
+    heading,
+    distance,
+    set_off,
+    blend,
+    rate,
+    before,
+):
+    """`stride_step` of one person whose gait goes on with it, in place; what the gait was is written to ``before`` [6]."""
+    before[0], before[1], before[2] = state[0], state[1], state[2] = xz[0, 0], xz[0, 1], heading[0]
+    before[3], before[4], before[5] = distance[0], set_off[0], blend[0]
+    there = stride_step(
+        sdf,
+        origin,
+        cell,
+        heights,
+        radius,
+        path,
+        cumulative,
+        goes,
+        halts,
+        facing,
+        state,
+        speed,
+        limits,
+        patience,
+        dt,
+    )
+    xz[0, 0], xz[0, 1], heading[0] = state[0], state[1], state[2]
+    walked = math.hypot(state[0] - before[0], state[1] - before[1])
+    distance[0], set_off[0], blend[0] = step_cycle(distance[0], set_off[0], blend[0], walked, rate)
+    return there
+
+
+@kernel(error_model="numpy")
 def stride_track(
     sdf, origin, cell, heights, radius, path, cumulative, halts, state, speed, limits, patience, dt, track
 ):
@@ -252,6 +305,7 @@ class Strider:
             raise InputError("Expected a walker with a stride, got one who turns on the spot.", code="H3-SIM-038")
         self._radius_m = radius_m
         self.walk_on(free)
+        self._blend_rate = STEP_S / spec.blend_s
         self._rules = (
             float(spec.speed_mps),
             tuple(map(float, spec.stride.limits)),
@@ -304,15 +358,12 @@ class Strider:
         self._state[7:] = 0.0
         self.arrived = False
 
-    def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
-        """Return where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
-        state = self._state
-        state[0], state[1], state[2] = xz[0], xz[1], heading
-        self.arrived = self.free.entries(
-            stride_step, *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
-        )
-        # a copy: the next step changes the state in place
-        return state[:2].copy(), float(state[2])
+    def walk(self, gait: HumanState, *, goes: bool = True) -> Array:
+        """Move the gait of one person by a step, in place; return what it was: x, z, heading, distance, set off, blend [6]."""
+        told, before = (goes, self._halts, self._facing, self._state, *self._rules), np.empty(6)
+        moved = gait.xz, gait.heading, gait.distance, gait.set_off, gait.blend, self._blend_rate
+        self.arrived = self.free.entries(stride_gait, *self._grid, self._path, self._cumulative, *told, *moved, before)
+        return before
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
         """Return the steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""

@@ -40,15 +40,15 @@ def _about_y(degrees: float) -> Array:
     return np.stack([quat_from_matrix(rotation(Y, -sign * degrees)) for _, sign, _ in SIDES])
 
 
-_COLLARS, _SHOULDERS, _ELBOWS, _WRISTS = (
+COLLARS, SHOULDERS, _ELBOWS, _WRISTS = (
     np.array([JOINT_INDEX[f"{side}_{joint}"] for side, _, _ in SIDES])
     for joint in ("collar", "shoulder", "elbow", "wrist")
 )
 # Made once: arms are drawn in for each person in each step.
 _IN = _shoulders(FORWARD_DEG, HANG_DEG, TWIST_DEG)
-_CLOSE = _shoulders(FORWARD_DEG, CLOSE_HANG_DEG, TWIST_DEG)
-_COLLARS_IN = _about_y(COLLAR_DEG)
-CARRY_JOINTS = np.stack([_COLLARS, _SHOULDERS, _ELBOWS, _WRISTS], axis=1)
+CLOSE_SHOULDERS = _shoulders(FORWARD_DEG, CLOSE_HANG_DEG, TWIST_DEG)
+CLOSE_COLLARS = _about_y(COLLAR_DEG)
+CARRY_JOINTS = np.stack([COLLARS, SHOULDERS, _ELBOWS, _WRISTS], axis=1)
 """Joints of an arm, left and right, [2, 4]."""
 CARRY_CLOSE = np.stack(
     [
@@ -78,12 +78,12 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
     shares = every = np.asarray(arms, np.float64)
     if shares.shape == (2,):
         every = np.tile(shares, (len(quats), 1))
-    close = _CLOSE if shoulders_forward else _IN
-    if every.shape != (len(quats), 2) or not tuck_all(quats, every, _SHOULDERS, close):
+    close = CLOSE_SHOULDERS if shoulders_forward else _IN
+    if every.shape != (len(quats), 2) or not tuck_all(quats, every, SHOULDERS, close):
         raise InputError(
             f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}.",
             code="H3-BODY-067",
         )
     # collars last, and only here: poses by clips, on which contact is based, keep their shoulders back
     if shoulders_forward:
-        tuck_all(quats, every, _COLLARS, _COLLARS_IN)
+        tuck_all(quats, every, COLLARS, CLOSE_COLLARS)

@@ -213,7 +213,7 @@ class PlantedWalk:
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 
-        plant_legs(self.tables, self.state, quats, pelvis)  # arrays of the caller, so numba looks at their types
+        _CALL(plant_legs, self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:

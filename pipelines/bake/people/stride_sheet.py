@@ -53,10 +53,11 @@ def pursued(free: FreeSpace, path: Array, heading: float, *, waits: range = rang
     """The steps along a path, standing for a second before and after."""
     strider = Strider(free, NATURAL_WALKER, halts=True)
     strider.begin(path)
-    rows = [np.array([*path[0], heading])] * 31
+    rows, gait = [np.array([*path[0], heading])] * 31, HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = path[0], heading
     while not strider.arrived:
-        xz, turned = strider.step(rows[-1][:2], float(rows[-1][2]), goes=len(rows) not in waits)
-        rows.append(np.array([*xz, turned]))
+        strider.walk(gait, goes=len(rows) not in waits)
+        rows.append(np.array([*gait.xz[0], gait.heading[0]]))
     return np.array(rows + [rows[-1]] * 60)
 
 

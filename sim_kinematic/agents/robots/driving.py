@@ -26,7 +26,7 @@ from sim_kinematic.agents.stands import (
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.velocity import braking_speed, eased, keep_clear
+from sim_kinematic.avoidance.velocity import base_numbers, braking_speed, keep_clear
 from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
@@ -93,6 +93,8 @@ class RobotDriver:
         """The command to which it speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
+        self._numbers: tuple[BaseSpec | None, tuple[Any, ...]] = None, ()
+        """A base, and its numbers for the kernel of a step."""
         self._start: NDArray | None = None
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._goes_around = False
@@ -223,14 +225,17 @@ class RobotDriver:
 
     def _drive(self, towards: NDArray, left_m: float = np.inf) -> None:
         """Drives one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
-        error = self._error_to(towards)
-        # a command of 1 covers `_stride_m`, so the last step ends at the goal and not beyond it
-        forward = min(self._no_faster_than(towards, error), left_m / self._stride_m)
+        (x, z), (to_x, to_z), (limits, stride_m) = self.xz.tolist(), towards.tolist(), (self.base, self._stride_m)
+        error, turned = self._error_to(towards), limits.max_turn_rad_s * STEP_S * float(np.hypot(to_x - x, to_z - z))
+        ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
+        # slow enough to turn to a near point instead of circling it: the bearing of a point at distance d turns by
+        # v sin(e) / d, at most half as fast as the base; a command of 1 covers `_stride_m`, so the last step ends at the goal
+        forward = min(ahead, 0.5 * turned / max(aside * stride_m, 1e-9), left_m / stride_m)
         # bases under Habitat's rules do not brake: they drive as they did, to the bit
-        if self.base.maneuvers:
-            (x, z), (to_x, to_z), accel = self.xz.tolist(), towards.tolist(), AVOIDANCE.accel_mps2
-            corner = braking_speed(accel, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
-            forward = min(forward, min(corner, braking_speed(accel, left_m)) / self.base.max_speed_mps)
+        if limits.maneuvers:
+            corner = braking_speed(AVOIDANCE.accel_mps2, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
+            braked = min(corner, braking_speed(AVOIDANCE.accel_mps2, left_m))
+            forward = min(forward, braked / limits.max_speed_mps)
         self._step(forward, self._turn(error), towards)
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
@@ -342,14 +347,6 @@ class RobotDriver:
         """The longest distance of one step."""
         return self.base.max_speed_mps * STEP_S
 
-    def _no_faster_than(self, towards: NDArray, error: float) -> float:
-        """The forward command, 0..1, at a heading error [rad]: slow enough to turn to a near point instead of circling it."""
-        ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
-        (x, z), (goal_x, goal_z) = self.xz.tolist(), towards.tolist()
-        # the bearing of a point at distance d turns by v sin(e) / d: at most half as fast as the base turns
-        turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(goal_x - x, goal_z - z))
-        return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
-
     def _turn(self, error: float) -> float:
         """The command that removes a heading error [rad] in one step, if the limit allows and there is no need to brake."""
         most, limit = 1.0, self.base.max_turn_rad_s
@@ -389,19 +386,21 @@ class RobotDriver:
 
         Where it avoids others it ``eases`` into commands, as far as its base does so.
         """
-        before, self.command = self.command, (forward, turn)
+        before, wanted = self.command, (forward, turn)
         self._choose_base()
-        if self.avoids and avoid:
-            aim = self.xz if towards is None else towards
-            others = avoided(self._seen(), agreed=self.agreed)
-            target = self._target if self.base.maneuvers else None
-            self._target = keep_clear(self.free, self.base, self.xz, self.heading, self.command, aim, others, target)
-            # what keeps it clear of somebody is done at once: eased, it came 12 cm nearer to a person than it wanted
-            eases = eases and self._target == self.command and self.base.maneuvers
-            self.command = eased(self.base, self._target, before) if eases else self._target
-        state = self.state
+        state, base, free = self.state, self.base, self.free
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
-        drive_robots(state, self.free, np.array([self.command]), self.base)
+        if self._numbers[0] is not base:
+            self._numbers = base, base_numbers(base)
+        clears, aim = self.avoids and avoid, self.xz if towards is None else towards
+        others = avoided(self._seen(), agreed=self.agreed) if clears else ()
+        told = self._target if base.maneuvers else None, before if clears and eases and base.maneuvers else None
+        # what the kernel does not do by itself: other ways to slide, stairs, and to refuse what is not finite
+        slides = base.slide == "strict" and not free.has_stairs and math.isfinite(sum(wanted))
+        target, self.command = keep_clear(free, self._numbers[1], state, wanted, aim, others, *told, drives=slides)
+        self._target = target if clears else self._target
+        if not slides:
+            drive_robots(state, free, np.array([self.command]), base)
         if joints.tobytes() != self.arm_goal.tobytes():  # most of the time the arm is where it is to be
             self._move_arm(joints[0])
         if self.meets():

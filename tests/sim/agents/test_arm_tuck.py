@@ -18,7 +18,7 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.validation.penetration import penetrations
-from sim_kinematic.agents.arm_tuck import draw_arms, width_m
+from sim_kinematic.agents.arm_tuck import HANDS, arm_room, draw_arms, draw_in_planted, width_m
 from sim_kinematic.agents.person import Held, Person, joint_steps, run
 from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
@@ -98,6 +98,23 @@ def test_arms_go_by_small_steps_and_stay_in_range(home: Scene, free: FreeSpace, 
     for w, one in enumerate(worlds):
         draw_arms(one, free, body, RULES)
         np.testing.assert_array_equal(one.arms, person.arms[w : w + 1])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([None, "left", "right"]))
+def test_arms_and_poses_in_one_call_have_the_bits_of_two(free: FreeSpace, seed: int, busy: Hand | None) -> None:
+    body, rng = load_humanoid("male_1"), np.random.default_rng(seed)
+    fast = HumanState.zeros(4)
+    fast.xz[:], fast.heading[:], fast.arms[:] = free.sample(rng, 4), rng.uniform(-4, 4, 4), rng.random((4, 2))
+    slow, (quats, _) = fast.copy(), body.clip_pose([1] * 4, rng.random(4), [1.0] * 4)
+    expected = quats.copy()
+    for _ in range(3):
+        draw_arms(slow, free, body, RULES, busy=busy)
+        draw_in(expected, slow.arms, shoulders_forward=True)
+        moved, number = (fast.xz, fast.heading, fast.arms), -1 if busy is None else HANDS.index(busy)
+        draw_in_planted(free.sdf, free.origin, free.cell_m, *moved, number, arm_room(body, RULES), quats)
+    assert fast.arms.tobytes() == slow.arms.tobytes()
+    assert quats.tobytes() == expected.tobytes()
 
 
 def test_without_rules_arms_swing(free: FreeSpace) -> None:

@@ -50,8 +50,7 @@ def test_it_turns_to_a_near_point_instead_of_driving_round_it(free: FreeSpace, d
         goal = at + distance * np.array([np.cos(0.4 + bearing), -np.sin(0.4 + bearing)])
         steps, left = 0, distance
         while left > ARRIVED_M and steps < 75:
-            error = robot._error_to(goal)
-            robot._step(min(robot._no_faster_than(goal, error), left / robot._stride_m), robot._turn(error), goal)
+            robot._drive(goal, left)
             steps, left = steps + 1, float(np.hypot(*(goal - robot.xz)))
         assert left <= ARRIVED_M
 

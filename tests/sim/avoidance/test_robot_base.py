@@ -18,10 +18,11 @@ from h3data_worlds.shape_points import shape_points
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.avoidance.robot_base import base_of, floor_of, footprint_of, hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc, keep_clear
+from sim_kinematic.avoidance.velocity import ObstacleDisc
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart
+from tests.sim.avoidance.commands import kept_clear
 from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 
@@ -106,8 +107,8 @@ def test_a_hull_of_ones_own_keeps_clear(free: FreeSpace) -> None:
     long, short = base_of(robot, BaseSpec()), base_of(load_robot("lift_arm"), BaseSpec())
     beside = ObstacleDisc(at + np.array([-0.8, 0.7]), np.zeros(2))
     turn = (0.0, 1.0)  # to the left: the tail swings to the right
-    assert keep_clear(free, short, at, 0.0, turn, at, [beside]) == turn
-    assert keep_clear(free, long, at, 0.0, turn, at, [beside]) != turn
+    assert kept_clear(free, short, at, 0.0, turn, at, [beside]) == turn
+    assert kept_clear(free, long, at, 0.0, turn, at, [beside]) != turn
 
 
 def test_wide_robots_find_their_paths_on_a_floor_of_their_own(home: Scene, free: FreeSpace, cart: Robot) -> None:

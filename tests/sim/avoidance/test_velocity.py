@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,11 +11,52 @@ from hypothesis import strategies as st
 from h3data.scene import FreeSpace
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc, braking_speed, eased, keep_clear
+from sim_kinematic.avoidance.velocity import ObstacleDisc, base_numbers, braking_speed, keep_clear
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
+from sim_kinematic.motion.step import drive_robots
+from tests.sim.avoidance.commands import kept_clear, reference, standing
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
 ROUNDING = 1e-12
+
+
+@cache
+def roomy() -> tuple[FreeSpace, np.ndarray]:
+    """A home, and its point with the most room."""
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)), radius_m=0.25)
+    places = free.sample(np.random.default_rng(0), 400)
+    return free, places[int(np.argmax(free.signed_distance(places)))]
+
+
+def eased(base: BaseSpec, wanted: tuple, before: tuple) -> tuple[float, float]:
+    """The command of a step in which nobody is near."""
+    free, at = roomy()
+    return keep_clear(free, base_numbers(base), standing(at, 0.0), wanted, at, [], None, before)[1]
+
+
+@given(st.integers(0, 10_000), st.integers(0, 3), st.booleans(), st.booleans(), st.booleans())
+def test_a_step_has_the_bits_of_its_parts(seed: int, count: int, eases: bool, counts: bool, drives: bool) -> None:
+    """The kernel is what the parts of it give in Python, one after the other: to the last bit, signs of zeros included."""
+    free, rng = roomy()[0], np.random.default_rng(seed)
+    base = (HOME_BASE, BaseSpec(), BaseSpec(max_speed_mps=0.6, max_turn_rad_s=1.0))[seed % 3]
+    at, towards = free.sample(rng, 2)
+    others = [
+        ObstacleDisc(
+            (at + rng.uniform(-2.5, 2.5, 2)).tolist(), rng.uniform(-1, 1, 2).tolist(), bool(rng.random() < 0.3)
+        )
+        for _ in range(count)
+    ]
+    wanted, target, before = rng.choice([0.0, -0.0, 0.3, -0.7, 1.0, -1.0, rng.uniform(-1, 1)], (3, 2)).tolist()
+    robot, expected = (standing(at, rng.uniform(-4, 4)) for _ in range(2))
+    expected.heading[:] = robot.heading
+    told = tuple(target) if counts else None, tuple(before) if eases else None
+    result = reference(free, base, expected, tuple(wanted), towards, others, *told)
+    if drives:
+        drive_robots(expected, free, np.array([result[1]]), base)
+    given = keep_clear(free, base_numbers(base), robot, tuple(wanted), towards, others, *told, drives=drives)
+    assert np.array(given).tobytes() == np.array(result).tobytes()
+    for mine, theirs in zip(robot.arrays(), expected.arrays(), strict=True):
+        assert mine.tobytes() == theirs.tobytes()
 
 
 @given(COMMANDS, COMMANDS, st.sampled_from([HOME_BASE, BaseSpec(max_speed_mps=0.6, max_turn_rad_s=1.0)]))
@@ -54,11 +97,9 @@ def test_braking_from_the_braking_speed_ends_where_it_should(accel: float, left:
 
 def test_beside_somebody_it_holds_on_to_the_side_on_which_it_passes() -> None:
     """Of two ways past somebody straight ahead it keeps the one on which it is."""
-    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)), radius_m=0.25)
-    places = free.sample(np.random.default_rng(0), 400)
-    at = places[int(np.argmax(free.signed_distance(places)))]
+    free, at = roomy()
     ahead = at + np.array([1.6, 0.0])
     somebody = ObstacleDisc(at + np.array([1.1, 0.0]), np.zeros(2))
     for side in (1.0, -1.0):
-        chosen = keep_clear(free, HOME_BASE, at, 0.0, (1.0, 0.0), ahead, [somebody], (0.5, side))
+        chosen = kept_clear(free, HOME_BASE, at, 0.0, (1.0, 0.0), ahead, [somebody], (0.5, side))
         assert chosen[1] * side >= 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from h3data.bodies import load_humanoid, load_robot
 from h3data.geometry import ground_pose
 from sim_kinematic.contact import AgentContacts
-from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
+from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 
 
@@ -18,7 +18,7 @@ def stored(values: np.ndarray) -> np.ndarray:
 def test_no_contact_is_hidden() -> None:
     robot, person, rng = load_robot("quad_arm"), load_humanoid("female_0"), np.random.default_rng(0)
     contacts = AgentContacts(body_shapes(robot), body_shapes(person))
-    capsules = RobotCapsules(robot), PersonCapsules(person)
+    capsules = AgentCapsules(robot), AgentCapsules(person)
     low, high = np.maximum(robot.lower, -3.0), np.minimum(robot.upper, 3.0)
     seen = {True: 0, False: 0}
     for _ in range(300):
@@ -34,3 +34,17 @@ def test_no_contact_is_hidden() -> None:
         assert may or not contacts.collides()
         seen[may] += 1
     assert min(seen.values()) > 50
+
+
+def test_ends_are_where_the_frames_of_links_and_joints_put_them() -> None:
+    robot, person, rng = load_robot("quad_arm"), load_humanoid("female_0"), np.random.default_rng(1)
+    root = ground_pose(rng.uniform(-3, 3, 2), 0.7, 0.2)
+    (quats,), (pelvis,) = person.clip_pose([1], [0.3], [1.0])
+    links = robot.link_matrices(root[None], robot.rest[None])[0]
+    joints = person.joint_matrices(root, quats[None], pelvis[None])[0]
+    for body, frames, posture in ((robot, links, (robot.rest,)), (person, joints, (quats, pelvis))):
+        capsules = AgentCapsules(body)
+        capsules.pose(root, *posture)
+        of, ends = capsules._args[:2]
+        expected = np.einsum("nij,nkj->nki", frames[of, :3, :3], ends) + frames[of, None, :3, 3]
+        np.testing.assert_allclose(capsules.ends, expected, atol=1e-12)

@@ -19,8 +19,10 @@ from h3data.recording import Recording
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.waypoint_walker import WAYPOINTS, WaypointHuman, aside, walking_path
+from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, StrideSpec, WalkerSpec
-from sim_kinematic.motion.stride import SHOULDER_M, Strider
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.motion.stride import SHOULDER_M, Strider, stride_step
 from sim_kinematic.tasks.resume import verify
 from tests.examples import examples
 
@@ -45,6 +47,38 @@ def walked(home: str, seed: int, steps: int = 900, spec: WalkerSpec = NATURAL_WA
     for k in range(steps):
         track[k + 1] = human.stride(track[k, :2], float(track[k, 2]))
     return human, track
+
+
+def stepped(strider: Strider, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
+    """Where a person is after a step from a place [2] and heading."""
+    gait = HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = xz, heading
+    strider.walk(gait, goes=goes)
+    return gait.xz[0], gait.heading.item(0)
+
+
+@given(st.integers(0, 10_000))
+def test_a_gait_goes_on_with_the_step_to_the_bit(seed: int) -> None:
+    """The kernel of both is `stride_step`, then `move_people`."""
+    free, rng = floor("small:1"), np.random.default_rng(seed)
+    start, goal = free.sample(rng, 2)
+    fast, slow = (Strider(free, NATURAL_WALKER, halts=True) for _ in range(2))
+    for strider in (fast, slow):
+        strider.begin(walking_path(free, start, goal, NATURAL_WALKER), facing=0.5)
+    gait = HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = start, rng.uniform(-9, 9)
+    expected = gait.copy()
+    for k in range(120):
+        was, goes = expected.copy(), not 40 <= k < 60
+        slow._state[:3] = *expected.xz[0], expected.heading[0]
+        told = goes, True, 0.5, slow._state, *slow._rules
+        slow.arrived = stride_step(*slow._grid, slow._path, slow._cumulative, *told)
+        move_people(expected, slow._state[None, :2], slow._state[2:3], NATURAL_WALKER)
+        before = fast.walk(gait, goes=goes)
+        assert fast.arrived == slow.arrived
+        assert before.tolist() == [*was.xz[0], was.heading[0], was.distance[0], was.set_off[0], was.blend[0]]
+        for mine, theirs in zip(gait.arrays(), expected.arrays(), strict=True):
+            assert mine.tobytes() == theirs.tobytes()
 
 
 @given(st.integers(0, 10_000), st.sampled_from(["small:1", "medium:0"]), st.sampled_from([0.5, 0.9, 1.3, 2.0]))
@@ -89,7 +123,7 @@ def test_who_faces_a_wall_turns_away_before_they_walk(seed: int) -> None:
     walked_at_wall = 0.0
     for _ in range(60):
         before, faces = xz, -np.array([np.cos(heading), -np.sin(heading)]) @ out
-        xz, heading = strider.step(xz, heading)
+        xz, heading = stepped(strider, xz, heading)
         walked_at_wall += float(np.hypot(*(xz - before))) * (faces > 0.8)
     assert walked_at_wall < 0.03
     assert np.hypot(*(xz - start)) > 0.15
@@ -110,7 +144,7 @@ def test_who_turns_back_in_a_narrow_place_stays_in_its_middle(lateral: float, he
     strider.begin(np.array([xz, [0.6, 0.32]]))
     before, least = float(free.signed_distance(xz)), np.inf
     for _ in range(600):
-        xz, heading = strider.step(xz, heading)
+        xz, heading = stepped(strider, xz, heading)
         if abs(wrap_angle(heading - np.pi)) > 0.6:
             least = min(least, float(free.signed_distance(xz)))
         if strider.arrived:
@@ -128,7 +162,7 @@ def test_who_is_told_where_to_face_arrives_facing_it(facing: float) -> None:
         strider, xz, heading = Strider(free, NATURAL_WALKER, halts=True), np.array([1.0, 3.0]), 0.0
         strider.begin(np.array([xz, [4.0, 3.0]]), facing=told)
         for steps in range(200):  # noqa: B007
-            xz, heading = strider.step(xz, heading)
+            xz, heading = stepped(strider, xz, heading)
             if strider.arrived:
                 break
         assert strider.arrived
@@ -146,7 +180,7 @@ def test_who_cuts_a_corner_keeps_their_shoulders_out_of_it() -> None:
         strider.begin(np.array([xz, corner, [5.5, 5.0]]))
         least = np.inf
         while not strider.arrived:
-            xz, heading = strider.step(xz, heading)
+            xz, heading = stepped(strider, xz, heading)
             least = min(least, float(free.signed_distance(xz)))
         assert least >= RADIUS_M + 0.8 * SHOULDER_M
 
@@ -163,7 +197,7 @@ def test_who_halts_stands_on_the_end_of_the_path(seed: int, heading: float) -> N
     xz, turned, last = start, heading, 0.0
     for _ in range(3000):
         before = xz
-        xz, turned = strider.step(xz, turned)
+        xz, turned = stepped(strider, xz, turned)
         last = float(np.hypot(*(xz - before))) / STEP_S
         if strider.arrived:
             break
@@ -183,7 +217,7 @@ def test_the_way_ahead_is_the_one_walked_step_by_step(seed: int) -> None:
     track = ahead.whole(start, 0.3, most=400)
     xz, heading = start, 0.3
     for row in track:
-        xz, heading = now.step(xz, heading)
+        xz, heading = stepped(now, xz, heading)
         np.testing.assert_array_equal([*xz, heading], row)
 
 
@@ -215,7 +249,7 @@ def test_who_waits_brakes_and_goes_on() -> None:
     xz, heading, speeds = start, 0.0, []
     for k in range(400):
         before = xz
-        xz, heading = strider.step(xz, heading, goes=not 60 <= k < 120)
+        xz, heading = stepped(strider, xz, heading, goes=not 60 <= k < 120)
         speeds.append(float(np.hypot(*(xz - before))) / STEP_S)
     brakes = int(np.ceil(speeds[59] / STRIDE.decel_mps2 / STEP_S)) + 1
     assert max(speeds[60 + brakes : 120]) == 0
@@ -234,7 +268,7 @@ def test_paths_without_length_and_back_and_forth_end(path: list[list[float]]) ->
     strider.begin(moved)
     xz, heading = at, 0.0
     for _ in range(2000):
-        xz, heading = strider.step(xz, heading)
+        xz, heading = stepped(strider, xz, heading)
         if strider.arrived:
             break
     assert np.isfinite([*xz, heading]).all()

@@ -115,8 +115,10 @@ def _shortened(a, b, most):
 
 
 @kernel(error_model="numpy")
-def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
-    """Turns head and eyes of a pose, in place, by one step towards ``target`` [3], or back to where the pose has them.
+def turn_gaze(offsets, quats, pelvis, base, target, looks, turning, gaze):
+    """Turns head and eyes of a pose, in place, by one step towards a world point, or back to where the pose has them.
+
+    The agent root is at ``base`` [7]; ``target`` [3] is the point, if the person ``looks`` at one.
 
     ``turning`` is how far the pose itself turns the head to the left in this step [rad]: both together turn it no faster than
     heads turn.
@@ -130,10 +132,12 @@ def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
         turn = multiply(turn, row4(quats, joint))
     at = plus(at, turned(turn, row3(offsets, _NECK)), 1.0)
     yaw, pitch, sees = 0.0, 0.0, False
+    back = inverse((base[3], base[4], base[5], base[6]))
+    to = plus(turned(back, (target[0], target[1], target[2])), turned(back, (base[0], base[1], base[2])), -1.0)
     if looks:
         # from where the eyes are with the head turned: at arm's length that is up to 8 degrees away from the pose's
         neck, head = _turn_head(quats, gaze)
-        world, _ = _to_target(offsets, at, turn, neck, head, target)
+        world, _ = _to_target(offsets, at, turn, neck, head, to)
         path = turned(inverse(turn), world)
         # -0.3: cosine between the chest's direction and that of a point, below which the point is behind
         sees = path[2] > -0.3
@@ -156,7 +160,7 @@ def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
     neck, head = _turn_head(quats, gaze)
     eye_yaw, eye_pitch = 0.0, 0.0
     if sees:
-        world, turn = _to_target(offsets, at, turn, neck, head, target)
+        world, turn = _to_target(offsets, at, turn, neck, head, to)
         eye_yaw, eye_pitch = _between((0.0, 0.0, 1.0), turned(inverse(turn), world))
         eye_yaw, eye_pitch = _within(eye_yaw, EYE_MAX), _within(eye_pitch, EYE_MAX)
     more_yaw, more_pitch = _shortened(eye_yaw - gaze[2], eye_pitch - gaze[3], EYE_STEP)

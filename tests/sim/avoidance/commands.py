@@ -1,0 +1,98 @@
+"""Commands of a robot's base: what the kernel of a step gives, and a reference of it in Python."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from h3data.scene import FreeSpace
+from sim_kinematic.avoidance import velocity
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import ObstacleDisc, base_numbers
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.motion.state import RobotState
+
+Command = tuple[float, float]
+
+
+def standing(xz: np.ndarray, heading: float) -> RobotState:
+    """A robot at a floor point [2]."""
+    state = RobotState.zeros(1)
+    state.xz[0], state.heading[0] = xz, heading
+    return state
+
+
+def kept_clear(
+    free: FreeSpace,
+    base: BaseSpec,
+    xz: np.ndarray,
+    heading: float,
+    wanted: Command,
+    towards: np.ndarray,
+    others: Sequence[ObstacleDisc],
+    target: Command | None = None,
+) -> Command:
+    """The command that keeps clear of others, of a robot that does not move."""
+    return velocity.keep_clear(free, base_numbers(base), standing(xz, heading), wanted, towards, others, target)[0]
+
+
+def reference(
+    free: FreeSpace,
+    base: BaseSpec,
+    state: RobotState,
+    wanted: Command,
+    towards: np.ndarray,
+    others: Sequence[ObstacleDisc],
+    target: Command | None,
+    before: Command | None,
+) -> tuple[Command, Command]:
+    """`sim_kinematic.avoidance.velocity.keep_clear` put together in Python, without the step."""
+    spec, here, goal = AVOIDANCE, tuple(state.xz[0].tolist()), tuple(towards.tolist())
+    rows = [
+        (x, z, *speeds, base.disc_radius_m + radius_m, margin_m, settled)
+        for (x, z), speeds, settled, radius_m, margin_m in others
+        if math.hypot(x - here[0], z - here[1]) <= spec.range_m
+    ]
+    keeps, heading = wanted, state.heading.item(0)
+    if rows:
+        dx, dz = goal[0] - here[0], goal[1] - here[1]
+        length = math.hypot(dx, dz)
+        arc = abs(velocity.wrap_angle.py_func(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
+        candidates = velocity._CANDIDATES
+        levels = candidates if target is None else np.concatenate([candidates, [target]])
+        offsets, hull = velocity._discs(base)
+        chosen = velocity.choose_command(
+            free.sdf,
+            free.origin,
+            free.cell_m,
+            (*here, heading),
+            goal,
+            wanted,
+            length,
+            arc,
+            np.array(rows, np.float64),
+            (offsets, base.disc_radius_m - spec.wall_tolerance_m),
+            hull,
+            (float(base.max_speed_mps), float(base.max_turn_rad_s)),
+            (spec.horizon_steps, spec.stride_steps, spec.doubt_mps, STEP_S),
+            (spec.still_margin_m, spec.gap_weight, spec.heading_weight_m, spec.turn_weight_m, spec.change_weight_m),
+            (math.nan, math.nan) if target is None else target,
+            np.empty(len(rows)),
+        )
+        keeps = wanted if chosen < 0 else tuple(levels[chosen].tolist())
+    return keeps, eased(base, wanted, before) if before is not None and keeps == wanted else keeps
+
+
+def eased(base: BaseSpec, wanted: Command, before: Command) -> Command:
+    """The command one step further from ``before`` towards ``wanted``; it stops turning at once, to end where it wants to."""
+    spec, speed = AVOIDANCE, STEP_S / base.max_speed_mps
+    forward = _within(wanted[0], before[0], spec.accel_mps2 * speed, spec.brake_mps2 * speed)
+    return forward, _within(wanted[1], before[1], spec.turn_accel_rad_s2 * STEP_S / base.max_turn_rad_s, 1.0)
+
+
+def _within(wanted: float, before: float, up: float, down: float) -> float:
+    if before < 0.0:
+        return -_within(-wanted, -before, up, down)
+    return min(max(wanted, before - down, -up), before + up)
