@@ -21,6 +21,7 @@ from h3data.scene.floor_heights import floor_heights, nose_heights
 from h3data_motion.contacts import leg_frames
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import NATURAL_WALKER, BaseSpec
+from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.stride import STAIRS_SHARE, Strider
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.resume import verify
@@ -41,9 +42,11 @@ def walked(*, up: bool) -> Track:
     strider = Strider(storeys.floor(), NATURAL_WALKER, halts=True)
     strider.begin(path)
     rows = [np.array([*path[0], np.arctan2(-way[1], way[0])])] * 10
+    gait = HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = rows[0][:2], rows[0][2]
     while not strider.arrived:
-        xz, heading = strider.step(rows[-1][:2], float(rows[-1][2]))
-        rows.append(np.array([*xz, heading]))
+        strider.walk(gait)
+        rows.append(np.array([*gait.xz[0], gait.heading[0]]))
         assert len(rows) < 1000
     return np.array(rows + [rows[-1]] * 30)
 
