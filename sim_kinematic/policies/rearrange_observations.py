@@ -6,6 +6,7 @@ computed by `sim_kinematic.sensing.agent_pictures`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Literal
@@ -54,13 +55,15 @@ class RearrangeContext:
         self.other, self.other_before = Pose(self._all("other_xz"), None), Pose(was, None)
 
     def _all(self, field: str) -> NDArray:
-        """Return a field of all views, [W, ...]."""
+        """Return a field of all views, [W, ...]; that of a single view is no copy, which takes a third of the time."""
+        if len(self._views) == 1:
+            return np.asarray(getattr(self._views[0], field))[None]
         return np.array([getattr(view, field) for view in self._views])
 
     @property
     def is_alone(self) -> bool:
         """Return whether there is no other agent."""
-        return not np.isfinite(self._views[0].other_xz).all()
+        return not math.isfinite(self._views[0].other_xz.item(0))
 
     @cached_property
     def _hand(self) -> Array:
@@ -123,9 +126,10 @@ class RearrangeContext:
         robot, objects = self.arm.shape[1] > 0, self.objects.shape[1]
         found = np.zeros((len(self._views), len(choices(objects, robot=robot, parts=self._views[0].parts))))
         for own, view in zip(found, self._views, strict=True):
-            known = choices(objects, robot=robot, parts=view.parts)
-            if view.last is not None and view.last.outcome == outcome and view.action in known:
-                own[known.index(view.action)] = 1.0
+            if view.last is not None and view.last.outcome == outcome:
+                known = choices(objects, robot=robot, parts=view.parts)
+                if view.action in known:
+                    own[known.index(view.action)] = 1.0
         return found
 
 
@@ -152,7 +156,8 @@ def exact(
             )
             found[name] = np.zeros((len(views), *lone[name].shape))
         else:
-            found[name] = np.asarray(sensors[name].of(moment), np.float64)
+            # a copy, as the moment may hold the agent's own arrays
+            found[name] = np.array(sensors[name].of(moment), np.float64)
     return found
 
 

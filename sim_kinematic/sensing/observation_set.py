@@ -76,7 +76,6 @@ class ObservationSet:
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
         self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
         """Names of numbers that are only clipped, which is done for all of them at once."""
-        self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
         sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
         self._low, self._high = (
             (np.concatenate([one.ravel() for one in side]) for side in sides) if self._plain else (0, 0)
@@ -120,10 +119,16 @@ class ObservationSet:
     def _clipped(self, exact: Arrays) -> Arrays:
         """Return the plain numbers [W, ...] within their bounds."""
         worlds = len(exact[self._plain[0]])
-        every = np.concatenate([exact[name].reshape(worlds, -1) for name in self._plain], axis=1)
+        # nearly all have two axes already, and each call to reshape them takes as long as to clip them
+        rows = [exact[name] if exact[name].ndim == 2 else exact[name].reshape(worlds, -1) for name in self._plain]
+        every = np.concatenate(rows, axis=1)
         every = np.minimum(np.maximum(every, self._low), self._high).astype(np.float32)
-        ends = zip(self._plain, self._ends, self._ends[1:], strict=False)
-        return {name: every[:, a:b].reshape(exact[name].shape) for name, a, b in ends}
+        shown, a = {}, 0
+        for name, row in zip(self._plain, rows, strict=True):
+            b = a + row.shape[1]
+            shown[name] = every[:, a:b] if row is exact[name] else every[:, a:b].reshape(exact[name].shape)
+            a = b
+        return shown
 
     def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
         """Return the values [W, ...] of an observation with noise.

@@ -390,14 +390,15 @@ class Household(Team):
     def view(self, agent: int, world: int = 0) -> RearrangeView:
         """Return the knowledge of an agent at this moment, for policies that choose skills."""
         del world
-        runner, before = self.controllers[agent], self.play.world.before.agents[agent]
+        play = self.play
+        runner, before = self.controllers[agent], play.world.before.agents[agent]
         me, other = self.actors[runner.number], self.company.nearest(runner.number)
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
         known = self._known(runner.number)
         return RearrangeView(
-            step=self.play.step,
+            step=play.step,
             free=self.doorways.open_floor,
             agent=runner.number,
             xz=xz,
@@ -417,17 +418,17 @@ class Household(Team):
             hand=lambda: me.hand_pose,
             arm=me.arm,
             start=self.episode.starts[runner.number],
-            before=np.array([*before.xz[0], before.heading[0]]),
+            before=np.array([*before.xz[0].tolist(), before.heading.item(0)]),
             collision=bool(self.company.touching),
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
-            observe=partial(self.play.observe, runner.number, 0),
+            observe=partial(play.observe, runner.number, 0),
             places=known[3],
             messages=[
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
             parts=self.parts,
-            open_parts=self.play.open_parts[0],
+            open_parts=self.open_joints[list(self.parts)],
             handles=self.handles,
         )
 
