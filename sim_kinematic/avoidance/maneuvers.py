@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from h3data.geometry import wrap_angle
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
@@ -36,26 +38,52 @@ finds longer maneuvers sooner."""
 
 
 @kernel(error_model="numpy")
-def _some_end_is_free(
-    sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+def _some_end_is_near(
+    sdf, origin, cell, x, z, margin, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
 ):
-    """Returns whether a search for a heading at the goal may find an end: an upper bound of the room in each of its cells.
+    """Return whether a search from (x, z) may find an end, by upper bounds of the room in each cell of the grid.
 
-    Where somebody stands there, it would look at all poses that the base reaches before it gives up.
+    Where somebody stands at the goal or in the only passage to it, it would look at all poses that the base reaches before it
+    gives up. All cells up to ``margin`` from the one of (x, z) count as reached; from there on it goes from cell to cell,
+    with any heading that a cell may have room for. At the end the heading is ``bearing`` to within ``facing`` [rad].
     """
-    # no place in a cell is farther from its middle, and no heading turns a disc farther
-    place_m = math.sqrt(0.5) * grid_cell
-    base_m, hull_m = place_m + np.abs(offsets).max() * facing, place_m + np.abs(hull).max() * facing
-    for i in range(left.shape[0]):
-        for j in range(left.shape[1]):
-            if left[i, j] <= enough:
-                x, z = grid_origin[0] + (i + 0.5) * grid_cell, grid_origin[1] + (j + 0.5) * grid_cell
+    (nx, nz), root = left.shape, math.sqrt(2.0)
+    # no place in a cell is farther from its middle (with 1e-6 m for rounding), and no heading turns a disc farther
+    place_m = math.sqrt(0.5) * grid_cell + 1e-6
+    base_m, hull_m = np.abs(offsets).min(), np.abs(hull).min()
+    i, j = int((x - grid_origin[0]) / grid_cell), int((z - grid_origin[1]) / grid_cell)
+    seen, queue, first, count = np.zeros((nx, nz), np.bool_), np.empty(nx * nz, np.int64), 0, 0
+    for a in range(max(i - margin, 0), min(i + margin + 1, nx)):
+        for b in range(max(j - margin, 0), min(j + margin + 1, nz)):
+            seen[a, b], queue[count] = True, a * nz + b
+            count += 1
+    while first < count:
+        i, j = queue[first] // nz, queue[first] % nz
+        first += 1
+        if left[i, j] <= enough:
+            mx, mz, room = grid_origin[0] + (i + 0.5) * grid_cell, grid_origin[1] + (j + 0.5) * grid_cell, 0.0
+            if facing < math.inf:
                 # between samples the signed distance changes by up to the square root of 2 per metre
-                room = least_clearance(sdf, origin, cell, x, z, bearing, offsets) - radius + math.sqrt(2.0) * base_m
+                room = root * (place_m + np.abs(offsets).max() * facing) - radius
+                room += least_clearance(sdf, origin, cell, mx, mz, bearing, offsets)
                 for disc in discs:
-                    room = min(room, least_gap(x, z, bearing, disc[0], disc[1], hull, disc[2]) + hull_m)
-                if room >= 0.0:
-                    return True
+                    gap = least_gap(mx, mz, bearing, disc[0], disc[1], hull, disc[2])
+                    room = min(room, gap + place_m + np.abs(hull).max() * facing)
+            if room >= 0.0:
+                return True
+        for a in range(max(i - 1, 0), min(i + 2, nx)):
+            for b in range(max(j - 1, 0), min(j + 2, nz)):
+                if seen[a, b]:
+                    continue
+                seen[a, b] = True
+                mx, mz = grid_origin[0] + (a + 0.5) * grid_cell, grid_origin[1] + (b + 0.5) * grid_cell
+                # the disc next to the middle is this far from it at most, whatever the heading
+                free = sample_sdf(sdf, origin, cell, mx, mz) + root * (place_m + base_m) >= radius
+                for disc in discs:
+                    free &= math.hypot(mx - disc[0], mz - disc[1]) + place_m + hull_m >= disc[2]
+                if free:
+                    queue[count] = a * nz + b
+                    count += 1
     return False
 
 
@@ -93,13 +121,31 @@ def _search(
     `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step; the same search without sliding
     must have failed before.
     """
-    if facing < math.inf and not _some_end_is_free(
-        sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+    nx, nz = left.shape
+    sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
+    # cells that the first move may reach: a slide turns about any disc, and needs room to within a tolerance
+    slid_m = MOVE_M + 2.0 * slide[0] * sector + steps * slide[2] if slides else 0.0
+    margin = 1 + math.ceil(slid_m / grid_cell)
+    if not _some_end_is_near(
+        sdf,
+        origin,
+        cell,
+        x,
+        z,
+        margin,
+        offsets,
+        radius,
+        hull,
+        discs,
+        left,
+        grid_origin,
+        grid_cell,
+        enough,
+        bearing,
+        facing,
     ):
         return -1
-    nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
-    sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
     # moves that turn alike pass the same headings, whose cosines and sines are computed once
     alike, axes = np.arange(len(moves)), np.empty((len(moves), steps + 1, 3))
     for m in range(1, len(moves)):
@@ -214,8 +260,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
-    # one distance map from the goal gives the search the remaining path of every pose
-    left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
+    left = _left_to(grid, *goal.tolist())
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
     no_commands = np.zeros((0, 2))
@@ -282,11 +327,15 @@ def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
     return np.array(moves), steps
 
 
-def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return distances [nx, nz] [m] in which cells without a path have the distance of their nearest neighbour.
+# a robot that is stuck asks for one goal several times
+@lru_cache(maxsize=16)
+def _left_to(grid: FloorRoutes, x: float, z: float) -> NDArray[np.float64]:
+    """Return the lengths [nx, nz] [m] of the paths from all cells to a floor point, not to be written to.
 
-    The middle of a long base may pass over such cells, though a disc with the agents' radius does not fit there.
+    Cells without a path have that of their nearest neighbour: the middle of a long base may pass over such cells, though a
+    disc with the agents' radius does not fit there.
     """
+    left = grid.flood(np.array([x, z]), np.zeros((0, 3))).distance
     padded = np.pad(left, 1, constant_values=np.inf)
     around = [padded[a : a + left.shape[0], b : b + left.shape[1]] for a in range(3) for b in range(3)]
     nearest = np.min(around, axis=0) + AVOIDANCE.cell_m
