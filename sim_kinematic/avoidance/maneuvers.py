@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from h3data.geometry import wrap_angle
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
-from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
@@ -47,42 +46,30 @@ def _some_end_is_near(
     gives up. All cells up to ``margin`` from the one of (x, z) count as reached; from there on it goes from cell to cell,
     with any heading that a cell may have room for. At the end the heading is ``bearing`` to within ``facing`` [rad].
     """
-    (nx, nz), root = left.shape, math.sqrt(2.0)
-    # no place in a cell is farther from its middle (with 1e-6 m for rounding), and no heading turns a disc farther
-    place_m = math.sqrt(0.5) * grid_cell + 1e-6
-    base_m, hull_m = np.abs(offsets).min(), np.abs(hull).min()
+    # no place in a cell is farther from its middle, with 1e-6 m for rounding
+    (nx, nz), place_m, middle = left.shape, math.sqrt(0.5) * grid_cell + 1e-6, np.zeros(1)
     i, j = int((x - grid_origin[0]) / grid_cell), int((z - grid_origin[1]) / grid_cell)
-    seen, queue, first, count = np.zeros((nx, nz), np.bool_), np.empty(nx * nz, np.int64), 0, 0
-    for a in range(max(i - margin, 0), min(i + margin + 1, nx)):
-        for b in range(max(j - margin, 0), min(j + margin + 1, nz)):
-            seen[a, b], queue[count] = True, a * nz + b
-            count += 1
-    while first < count:
-        i, j = queue[first] // nz, queue[first] % nz
-        first += 1
-        if left[i, j] <= enough:
-            mx, mz, room = grid_origin[0] + (i + 0.5) * grid_cell, grid_origin[1] + (j + 0.5) * grid_cell, 0.0
-            if facing < math.inf:
-                # between samples the signed distance changes by up to the square root of 2 per metre
-                room = root * (place_m + np.abs(offsets).max() * facing) - radius
-                room += least_clearance(sdf, origin, cell, mx, mz, bearing, offsets)
-                for disc in discs:
-                    gap = least_gap(mx, mz, bearing, disc[0], disc[1], hull, disc[2])
-                    room = min(room, gap + place_m + np.abs(hull).max() * facing)
-            if room >= 0.0:
-                return True
-        for a in range(max(i - 1, 0), min(i + 2, nx)):
-            for b in range(max(j - 1, 0), min(j + 2, nz)):
-                if seen[a, b]:
-                    continue
-                seen[a, b] = True
-                mx, mz = grid_origin[0] + (a + 0.5) * grid_cell, grid_origin[1] + (b + 0.5) * grid_cell
-                # the disc next to the middle is this far from it at most, whatever the heading
-                free = sample_sdf(sdf, origin, cell, mx, mz) + root * (place_m + base_m) >= radius
-                for disc in discs:
-                    free &= math.hypot(mx - disc[0], mz - disc[1]) + place_m + hull_m >= disc[2]
-                if free:
-                    queue[count] = a * nz + b
+    # one more than there are cells, as that of (x, z) may come twice
+    seen, queue, n, count = np.zeros((nx, nz), np.bool_), np.full(nx * nz + 1, i * nz + j), 0, 1
+    while n < count:
+        a, b, n = queue[n] // nz, queue[n] % nz, n + 1
+        mx, mz = grid_origin[0] + (a + 0.5) * grid_cell, grid_origin[1] + (b + 0.5) * grid_cell
+        ends, aims = left[a, b] <= enough, left[a, b] <= enough and facing < math.inf
+        # with any heading the disc nearest to the middle counts as there; a heading turns no disc farther
+        base, base_m = (offsets, np.abs(offsets).max() * facing) if aims else (middle, np.abs(offsets).min())
+        body, hull_m = (hull, np.abs(hull).max() * facing) if aims else (middle, np.abs(hull).min())
+        # between samples the signed distance changes by up to the square root of 2 per metre
+        room = least_clearance(sdf, origin, cell, mx, mz, bearing, base) - radius + math.sqrt(2.0) * (place_m + base_m)
+        for disc in discs:
+            room = min(room, least_gap(mx, mz, bearing, disc[0], disc[1], body, disc[2]) + place_m + hull_m)
+        reached = room >= 0.0 or (not aims and max(abs(a - i), abs(b - j)) <= margin)
+        if ends and reached:
+            return True
+        # another heading may lead on from where the base cannot have the one of the end
+        for c in range(max(a - 1, 0), min(a + 2, nx) if reached or aims else 0):
+            for d in range(max(b - 1, 0), min(b + 2, nz)):
+                if not seen[c, d]:
+                    seen[c, d], queue[count] = True, c * nz + d
                     count += 1
     return False
 
@@ -124,8 +111,7 @@ def _search(
     nx, nz = left.shape
     sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
     # cells that the first move may reach: a slide turns about any disc, and needs room to within a tolerance
-    slid_m = MOVE_M + 2.0 * slide[0] * sector + steps * slide[2] if slides else 0.0
-    margin = 1 + math.ceil(slid_m / grid_cell)
+    margin = 1 + (math.ceil((MOVE_M + 2.0 * slide[0] * sector + steps * slide[2]) / grid_cell) if slides else 0)
     if not _some_end_is_near(
         sdf,
         origin,
@@ -338,8 +324,7 @@ def _left_to(grid: FloorRoutes, x: float, z: float) -> NDArray[np.float64]:
     left = grid.flood(np.array([x, z]), np.zeros((0, 3))).distance
     padded = np.pad(left, 1, constant_values=np.inf)
     around = [padded[a : a + left.shape[0], b : b + left.shape[1]] for a in range(3) for b in range(3)]
-    nearest = np.min(around, axis=0) + AVOIDANCE.cell_m
-    return np.where(np.isfinite(left), left, nearest)
+    return np.where(np.isfinite(left), left, np.min(around, axis=0) + AVOIDANCE.cell_m)
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:

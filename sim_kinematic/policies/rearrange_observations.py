@@ -6,7 +6,6 @@ computed by `sim_kinematic.sensing.agent_pictures`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Literal
@@ -63,7 +62,7 @@ class RearrangeContext:
     @property
     def is_alone(self) -> bool:
         """Return whether there is no other agent."""
-        return not math.isfinite(self._views[0].other_xz.item(0))
+        return not np.isfinite(self._views[0].other_xz[0])
 
     @cached_property
     def _hand(self) -> Array:
@@ -126,10 +125,9 @@ class RearrangeContext:
         robot, objects = self.arm.shape[1] > 0, self.objects.shape[1]
         found = np.zeros((len(self._views), len(choices(objects, robot=robot, parts=self._views[0].parts))))
         for own, view in zip(found, self._views, strict=True):
-            if view.last is not None and view.last.outcome == outcome:
-                known = choices(objects, robot=robot, parts=view.parts)
-                if view.action in known:
-                    own[known.index(view.action)] = 1.0
+            known = choices(objects, robot=robot, parts=view.parts)
+            if view.last is not None and view.last.outcome == outcome and view.action in known:
+                own[known.index(view.action)] = 1.0
         return found
 
 

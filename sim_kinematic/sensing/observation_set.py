@@ -76,6 +76,7 @@ class ObservationSet:
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
         self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
         """Names of numbers that are only clipped, which is done for all of them at once."""
+        self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
         sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
         self._low, self._high = (
             (np.concatenate([one.ravel() for one in side]) for side in sides) if self._plain else (0, 0)
@@ -119,16 +120,11 @@ class ObservationSet:
     def _clipped(self, exact: Arrays) -> Arrays:
         """Return the plain numbers [W, ...] within their bounds."""
         worlds = len(exact[self._plain[0]])
-        # nearly all have two axes already, and each call to reshape them takes as long as to clip them
-        rows = [exact[name] if exact[name].ndim == 2 else exact[name].reshape(worlds, -1) for name in self._plain]
-        every = np.concatenate(rows, axis=1)
-        every = np.minimum(np.maximum(every, self._low), self._high).astype(np.float32)
-        shown, a = {}, 0
-        for name, row in zip(self._plain, rows, strict=True):
-            b = a + row.shape[1]
-            shown[name] = every[:, a:b] if row is exact[name] else every[:, a:b].reshape(exact[name].shape)
-            a = b
-        return shown
+        # nearly all have two axes already, and to reshape them takes as long as to clip them
+        rows = [exact[n] if exact[n].ndim == 2 else exact[n].reshape(worlds, -1) for n in self._plain]
+        every = np.minimum(np.maximum(np.concatenate(rows, axis=1), self._low), self._high).astype(np.float32)
+        parts = ((n, every[:, a:b], exact[n]) for n, a, b in zip(self._plain, self._ends, self._ends[1:], strict=False))
+        return {name: part if own.ndim == 2 else part.reshape(own.shape) for name, part, own in parts}
 
     def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
         """Return the values [W, ...] of an observation with noise.

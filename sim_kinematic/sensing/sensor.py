@@ -109,11 +109,7 @@ def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> 
     seen = in_base_frame(robot_xz, heading, point_xz, xp=xp)
     ahead, left = seen[..., 0], seen[..., 1]
     # minus, as in Habitat, whose angle is -atan2 in a base frame with y to the left (spec/habitat.md 1.5)
-    length, angle = xp.hypot(ahead, left), -xp.arctan2(left, ahead)
-    if xp is np:
-        seen[..., 0], seen[..., 1] = length, angle
-        return seen
-    return stacked(xp, length, angle)
+    return stacked(xp, xp.hypot(ahead, left), -xp.arctan2(left, ahead))
 
 
 def other_agent_gps(own_xz: Any, other_xz: Any, *, xp: Any = np) -> Any:

@@ -390,15 +390,14 @@ class Household(Team):
     def view(self, agent: int, world: int = 0) -> RearrangeView:
         """Return the knowledge of an agent at this moment, for policies that choose skills."""
         del world
-        play = self.play
-        runner, before = self.controllers[agent], play.world.before.agents[agent]
+        runner, before = self.controllers[agent], self.play.world.before.agents[agent]
         me, other = self.actors[runner.number], self.company.nearest(runner.number)
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
         known = self._known(runner.number)
         return RearrangeView(
-            step=play.step,
+            step=self.play.step,
             free=self.doorways.open_floor,
             agent=runner.number,
             xz=xz,
@@ -422,7 +421,7 @@ class Household(Team):
             collision=bool(self.company.touching),
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
-            observe=partial(play.observe, runner.number, 0),
+            observe=partial(self.play.observe, runner.number, 0),
             places=known[3],
             messages=[
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
