@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,26 +37,40 @@ finds longer maneuvers sooner."""
 
 
 @kernel(error_model="numpy")
-def _some_end_is_free(
-    sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+def _some_end_is_near(
+    sdf, origin, cell, x, z, margin, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
 ):
-    """Returns whether a search for a heading at the goal may find an end: an upper bound of the room in each of its cells.
+    """Return whether a search from (x, z) may find an end, by upper bounds of the room in each cell of the grid.
 
-    Where somebody stands there, it would look at all poses that the base reaches before it gives up.
+    Where somebody stands at the goal or in the only passage to it, it would look at all poses that the base reaches before it
+    gives up. All cells up to ``margin`` from the one of (x, z) count as reached; from there on it goes from cell to cell,
+    with any heading that a cell may have room for. At the end the heading is ``bearing`` to within ``facing`` [rad].
     """
-    # no place in a cell is farther from its middle, and no heading turns a disc farther
-    place_m = math.sqrt(0.5) * grid_cell
-    base_m, hull_m = place_m + np.abs(offsets).max() * facing, place_m + np.abs(hull).max() * facing
-    for i in range(left.shape[0]):
-        for j in range(left.shape[1]):
-            if left[i, j] <= enough:
-                x, z = grid_origin[0] + (i + 0.5) * grid_cell, grid_origin[1] + (j + 0.5) * grid_cell
-                # between samples the signed distance changes by up to the square root of 2 per metre
-                room = least_clearance(sdf, origin, cell, x, z, bearing, offsets) - radius + math.sqrt(2.0) * base_m
-                for disc in discs:
-                    room = min(room, least_gap(x, z, bearing, disc[0], disc[1], hull, disc[2]) + hull_m)
-                if room >= 0.0:
-                    return True
+    # no place in a cell is farther from its middle, with 1e-6 m for rounding
+    (nx, nz), place_m, middle = left.shape, math.sqrt(0.5) * grid_cell + 1e-6, np.zeros(1)
+    i, j = int((x - grid_origin[0]) / grid_cell), int((z - grid_origin[1]) / grid_cell)
+    # one more than there are cells, as that of (x, z) may come twice
+    seen, queue, n, count = np.zeros((nx, nz), np.bool_), np.full(nx * nz + 1, i * nz + j), 0, 1
+    while n < count:
+        a, b, n = queue[n] // nz, queue[n] % nz, n + 1
+        mx, mz = grid_origin[0] + (a + 0.5) * grid_cell, grid_origin[1] + (b + 0.5) * grid_cell
+        ends, aims = left[a, b] <= enough, left[a, b] <= enough and facing < math.inf
+        # with any heading the disc nearest to the middle counts as there; a heading turns no disc farther
+        base, base_m = (offsets, np.abs(offsets).max() * facing) if aims else (middle, np.abs(offsets).min())
+        body, hull_m = (hull, np.abs(hull).max() * facing) if aims else (middle, np.abs(hull).min())
+        # between samples the signed distance changes by up to the square root of 2 per metre
+        room = least_clearance(sdf, origin, cell, mx, mz, bearing, base) - radius + math.sqrt(2.0) * (place_m + base_m)
+        for disc in discs:
+            room = min(room, least_gap(mx, mz, bearing, disc[0], disc[1], body, disc[2]) + place_m + hull_m)
+        reached = room >= 0.0 or (not aims and max(abs(a - i), abs(b - j)) <= margin)
+        if ends and reached:
+            return True
+        # another heading may lead on from where the base cannot have the one of the end
+        for c in range(max(a - 1, 0), min(a + 2, nx) if reached or aims else 0):
+            for d in range(max(b - 1, 0), min(b + 2, nz)):
+                if not seen[c, d]:
+                    seen[c, d], queue[count] = True, c * nz + d
+                    count += 1
     return False
 
 
@@ -93,13 +108,30 @@ def _search(
     `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step; the same search without sliding
     must have failed before.
     """
-    if facing < math.inf and not _some_end_is_free(
-        sdf, origin, cell, offsets, radius, hull, discs, left, grid_origin, grid_cell, enough, bearing, facing
+    nx, nz = left.shape
+    sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
+    # cells that the first move may reach: a slide turns about any disc, and needs room to within a tolerance
+    margin = 1 + (math.ceil((MOVE_M + 2.0 * slide[0] * sector + steps * slide[2]) / grid_cell) if slides else 0)
+    if not _some_end_is_near(
+        sdf,
+        origin,
+        cell,
+        x,
+        z,
+        margin,
+        offsets,
+        radius,
+        hull,
+        discs,
+        left,
+        grid_origin,
+        grid_cell,
+        enough,
+        bearing,
+        facing,
     ):
         return -1
-    nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
-    sector, way = 2.0 * math.pi / HEADINGS, np.empty((steps + 1, 2))
     # moves that turn alike pass the same headings, whose cosines and sines are computed once
     alike, axes = np.arange(len(moves)), np.empty((len(moves), steps + 1, 3))
     for m in range(1, len(moves)):
@@ -214,8 +246,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
-    # one distance map from the goal gives the search the remaining path of every pose
-    left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
+    left = _left_to(grid, *goal.tolist())
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
     no_commands = np.zeros((0, 2))
@@ -282,15 +313,18 @@ def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
     return np.array(moves), steps
 
 
-def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return distances [nx, nz] [m] in which cells without a path have the distance of their nearest neighbour.
+# a robot that is stuck asks for one goal several times
+@lru_cache(maxsize=16)
+def _left_to(grid: FloorRoutes, x: float, z: float) -> NDArray[np.float64]:
+    """Return the lengths [nx, nz] [m] of the paths from all cells to a floor point, not to be written to.
 
-    The middle of a long base may pass over such cells, though a disc with the agents' radius does not fit there.
+    Cells without a path have that of their nearest neighbour: the middle of a long base may pass over such cells, though a
+    disc with the agents' radius does not fit there.
     """
+    left = grid.flood(np.array([x, z]), np.zeros((0, 3))).distance
     padded = np.pad(left, 1, constant_values=np.inf)
     around = [padded[a : a + left.shape[0], b : b + left.shape[1]] for a in range(3) for b in range(3)]
-    nearest = np.min(around, axis=0) + AVOIDANCE.cell_m
-    return np.where(np.isfinite(left), left, nearest)
+    return np.where(np.isfinite(left), left, np.min(around, axis=0) + AVOIDANCE.cell_m)
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:

@@ -295,9 +295,21 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(base.disc_offsets_m, np.float64), np.array(hull_of(base), np.float64)
 
 
-def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
-    """Return whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
-    reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
-    other_x, other_z = other.xz
-    gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]
-    return np.array(gaps) < margin_m
+def crowding(base: BaseSpec, stands: NDArray, others: Sequence[ObstacleDisc]) -> NDArray[np.int64]:
+    """Rate how close a robot at stands ``(x, z, heading)`` [N, 3] would be to other agents now, [N].
+
+    1 is within the margin of one of them, 2 is contact, and 0 is neither.
+    """
+    discs = np.array([(*o.xz, base.disc_radius_m + o.radius_m, o.margin_m) for o in others], np.float64).reshape(-1, 4)
+    return _crowding(np.ascontiguousarray(stands), discs, _discs(base)[1], AVOIDANCE.still_margin_m)
+
+
+@kernel(error_model="numpy")
+def _crowding(stands, discs, hull, contact):
+    """Return the ratings of `crowding` for discs ``(x, z, reach, margin)`` [M, 4] and gaps [m] below which is contact."""
+    levels = np.zeros(len(stands), np.int64)
+    for n in range(len(stands)):
+        for disc in discs:
+            gap = least_gap(stands[n, 0], stands[n, 1], stands[n, 2], disc[0], disc[1], hull, disc[2])
+            levels[n] = max(levels[n], 2 if gap < contact else 1 if gap < disc[3] else 0)
+    return levels

@@ -120,10 +120,11 @@ class ObservationSet:
     def _clipped(self, exact: Arrays) -> Arrays:
         """Return the plain numbers [W, ...] within their bounds."""
         worlds = len(exact[self._plain[0]])
-        every = np.concatenate([exact[name].reshape(worlds, -1) for name in self._plain], axis=1)
-        every = np.minimum(np.maximum(every, self._low), self._high).astype(np.float32)
-        ends = zip(self._plain, self._ends, self._ends[1:], strict=False)
-        return {name: every[:, a:b].reshape(exact[name].shape) for name, a, b in ends}
+        # nearly all have two axes already, and to reshape them takes as long as to clip them
+        rows = [exact[n] if exact[n].ndim == 2 else exact[n].reshape(worlds, -1) for n in self._plain]
+        every = np.minimum(np.maximum(np.concatenate(rows, axis=1), self._low), self._high).astype(np.float32)
+        parts = ((n, every[:, a:b], exact[n]) for n, a, b in zip(self._plain, self._ends, self._ends[1:], strict=False))
+        return {name: part if own.ndim == 2 else part.reshape(own.shape) for name, part, own in parts}
 
     def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
         """Return the values [W, ...] of an observation with noise.

@@ -191,11 +191,11 @@ class FreeSpace(FloorMap):
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:
         """Return the index of the island of points [..., 2], int [...]; -1 where it may not stand."""
-        return each_point(lambda p: locate_many(self.graph, p), points)
+        return each_point(lambda p: self.entries(locate_many, self.graph, p), points)
 
     def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
         """Free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
-        return each_point(lambda p: snap_many(self.graph, p, max_distance_m), points)
+        return each_point(lambda p: self.entries(snap_many, self.graph, p, float(max_distance_m)), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
         """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""

@@ -30,7 +30,7 @@ from sim_kinematic.agents.robots.hand_reach import (
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, LearnedSkill, Skill, SkillResult
 from sim_kinematic.agents.stands import STANDS, handle_stands, island_of, nearest_stand, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import is_crowded
+from sim_kinematic.avoidance.velocity import crowding
 from sim_kinematic.avoidance.yielding import avoided, shut_off
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY
@@ -315,11 +315,8 @@ class RobotActor(RobotDriver):
 
         1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
         """
-        crowded = np.zeros(len(stands), np.int64)
         # who steps aside when asked takes no stand away
-        for other in avoided([other for other in self.others if not other.steps_aside]):
-            for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
-                crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
+        crowded = crowding(self.base, stands, avoided([other for other in self.others if not other.steps_aside]))
         if self._goes_around:
             shut = shut_off(self.free, self.xz, stands[:, :2], self.others, radius_m=self.base.disc_radius_m)
             crowded = np.maximum(crowded, 2 * shut)

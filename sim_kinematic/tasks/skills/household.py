@@ -417,7 +417,7 @@ class Household(Team):
             hand=lambda: me.hand_pose,
             arm=me.arm,
             start=self.episode.starts[runner.number],
-            before=np.array([*before.xz[0], before.heading[0]]),
+            before=np.array([*before.xz[0].tolist(), before.heading.item(0)]),
             collision=bool(self.company.touching),
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
@@ -427,7 +427,7 @@ class Household(Team):
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
             parts=self.parts,
-            open_parts=self.play.open_parts[0],
+            open_parts=self.open_joints[list(self.parts)],
             handles=self.handles,
         )
 

@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 
 from h3data.scene import FreeSpace
 from h3data_homes import HomeSpec, build_home
+from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc, base_numbers, braking_speed, keep_clear
+from sim_kinematic.avoidance.velocity import (
+    ObstacleDisc,
+    base_numbers,
+    braking_speed,
+    crowding,
+    keep_clear,
+    least_gap,
+)
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_robots
 from tests.sim.avoidance.commands import kept_clear, reference, standing
@@ -103,3 +111,20 @@ def test_beside_somebody_it_holds_on_to_the_side_on_which_it_passes() -> None:
     for side in (1.0, -1.0):
         chosen = kept_clear(free, HOME_BASE, at, 0.0, (1.0, 0.0), ahead, [somebody], (0.5, side))
         assert chosen[1] * side >= 0.0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 3))
+def test_stands_are_rated_by_the_nearest_agent(seed: int, stands: int, others: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(-1, 1, (stands, 3)) * (2.0, 2.0, np.pi)
+    discs = [
+        ObstacleDisc(tuple(rng.uniform(-2, 2, 2).tolist()), [0.0, 0.0], False, *rng.uniform(0.0, 0.5, 2).tolist())
+        for _ in range(others)
+    ]
+    hull, expected = np.array(hull_of(HOME_BASE)), []
+    for x, z, heading in at.tolist():
+        reach = [HOME_BASE.disc_radius_m + other.radius_m for other in discs]
+        gaps = [least_gap(x, z, heading, *other.xz, hull, r) for other, r in zip(discs, reach, strict=True)]
+        near = any(gap < other.margin_m for gap, other in zip(gaps, discs, strict=True))
+        expected.append(2 if any(gap < AVOIDANCE.still_margin_m for gap in gaps) else int(near))
+    assert crowding(HOME_BASE, at, discs).tolist() == expected
