@@ -526,8 +526,8 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, light_at, c
     # after the texture, because mirrored light does not take the colour of the floor
     if attributes[slot, GLOSS] > 0:
         for x in range(low, end, 8):
-            at = strip_at + np.uintp(x * 4)
-            gloss_block(planes_at, u + step * (x - begin), v, step, attributes_at, at, row_bytes)
+            first = u + step * (x - begin)
+            gloss_block(planes_at, first, v, step, attributes_at, strip_at + np.uintp(x * 4), row_bytes)
 
 
 @kernel_part(forceinline=True)

@@ -79,7 +79,7 @@ def slot_of(word):
 
 @kernel_part(forceinline=True)
 def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel, axes, light_at):
-    """Caches the triangle of a pixel's word.
+    """Cache the triangle of a pixel's word.
 
     ``pixel`` is the size (x, y) of a pixel at z = 1, ``axes`` are those of the rays' directions.
     """
@@ -149,10 +149,10 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
 
 @kernel_part(forceinline=True)
 def set_up_rays(axes, planes):
-    """Fills the coefficients of the rays, whose directions have these axes."""
-    for a in range(3):
+    """Fill the coefficients of the rays, whose directions have these axes, and zeros in the columns after them."""
+    for a in range(LANES - RAY):
         for k in range(3):
-            planes[k, RAY + a] = axes[a, k]
+            planes[k, RAY + a] = axes[a, k] if a < 3 else 0.0
 
 
 @kernel_part(forceinline=True)
@@ -171,8 +171,7 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes, light_at):
     evenness = PLAIN
     for a in range(3):
         if attributes[COLOR_1 + a] != 0 or attributes[COLOR_2 + a] != 0:
-            evenness = FLAT
-    for a in range(3):
+            evenness = min(evenness, FLAT)
         if attributes[NORMAL_1 + a] != 0 or attributes[NORMAL_2 + a] != 0:
             evenness = VARIED
     attributes[EVENNESS] = evenness

@@ -130,7 +130,7 @@ def _unit_normal(b: Any, normal: list[Vec], light_at: Any) -> tuple[list[Vec], V
 
 @intrinsic
 def flat_normal(typing_context, attributes_at, light_at):
-    """Fills the unit normal of a triangle whose vertices have one normal, and its cosines, with the bits of `light_block`."""
+    """Fill the unit normal of a triangle whose vertices have one normal, and its cosines, with the bits of `light_block`."""
 
     def codegen(context, b, signature, arguments):
         attributes_at, light_at = arguments
@@ -153,22 +153,19 @@ def _emit_light(
     coordinates: Any,
     evenness: int,
 ) -> None:
-    def mix(first: int) -> list[Vec]:
-        return _mix(b, attributes_at, first, second, third)
-
     # perspective-correct barycentrics: (b / z) / (1 / z); clamped, because the inside test is slightly enlarged
     z = linear(NEARNESS).reciprocal()
     second, third = ((linear(column) * z).maximum(0.0).minimum(1.0) for column in (SECOND, THIRD))
     if coordinates is not None:
         _store_coordinates(b, attributes_at, z, second, third, *coordinates)
     if evenness == VARIED:
-        normal, sunny, filled = _unit_normal(b, mix(NORMAL), light_at)
+        normal, sunny, filled = _unit_normal(b, _mix(b, attributes_at, NORMAL, second, third), light_at)
     else:
         *normal, sunny, filled = _words(b, attributes_at, UNIT, 5)
     ray = [linear(RAY + a) for a in range(3)]
     facing = (-_dot(normal, ray)).maximum(0.0).divided_by(_dot(ray, ray).unary("sqrt"))
 
-    color = _words(b, attributes_at, COLOR) if evenness == PLAIN else mix(COLOR)
+    color = _words(b, attributes_at, COLOR) if evenness == PLAIN else _mix(b, attributes_at, COLOR, second, third)
     mean, up, sun, fill, head = (_light_words(b, light_at, k) for k in (MEAN, UP, SUN, FILL, HEADLIGHT))
     for a in range(3):
         light = fma(up[a], normal[1], fma(sun[a], sunny, fma(fill[a], filled, fma(head[a], facing, mean[a]))))
