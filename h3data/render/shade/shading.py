@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
-from h3data.kernels.vectors import LANES
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
 from h3data.render.shade.blockers import (
     NO_BLOCKERS,
@@ -33,15 +32,16 @@ from h3data.render.shade.blockers_simd import RAY_ROWS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
 from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, next_blocks
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
-from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, set_up_rays, slot_of
+from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shade.shading_simd import (
     ATTRIBUTES,
+    BLOCK_WORDS,
     COLOR,
     COLOR_1,
     COLOR_2,
-    EVENNESS,
     GLOSS,
     LEVEL,
+    RAY,
     TONE_LIMIT,
     TONE_SIZE,
     equal_words,
@@ -196,7 +196,7 @@ def shade(
         view,
         target,
         new_cache(),
-        np.repeat(light_table(light), LANES),
+        light_table(light),
         (LINEAR_OF_BYTE, BYTE_OF_LINEAR),
         occlusion,
         np.float32(strength),
@@ -239,7 +239,7 @@ def _shade_image(
     cofactors = _normal_matrices(matrices)
     triangles = cache.words
     texture_at = (np.uintp(surface.textures.levels.ctypes.data), np.uintp(surface.textures.words.ctypes.data))
-    light_at = np.uintp(light.ctypes.data)
+    block = np.empty(BLOCK_WORDS, np.float32)
     strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
     sample = np.zeros((6, 8), np.int32)
     coordinates = np.zeros((3, width + 8), np.float32)
@@ -257,8 +257,6 @@ def _shade_image(
     words, axes = target.words, view.axes.copy()
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
-    sky = np.zeros((3, LANES))
-    set_up_rays(axes, sky)
     linear, byte_of_level = tables
     bytes_at, rgb_at = np.uintp(byte_of_level.ctypes.data), np.uintp(rgb.ctypes.data)
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
@@ -305,24 +303,13 @@ def _shade_image(
                     if word >= 0:
                         slot = slot_of(word)
                         if triangles[slot] != word:
-                            set_up(
-                                word,
-                                slot,
-                                cache,
-                                geometry,
-                                surface,
-                                cofactors,
-                                view,
-                                target,
-                                linear,
-                                pixel,
-                                axes,
-                                light_at,
-                            )
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                             _tint(word, slot, cache, cast, target)
-                        _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 0, 1, light_at, coordinates, sample)
+                        _light_run(
+                            slot, cache, texture_at, u1, v1, 0.0, 0, 0, 1, axes, light, block, coordinates, sample
+                        )
                     else:
-                        _sky_run(u1, v1, 0.0, 0, 0, 1, sky, light_at, sample)
+                        _sky_run(u1, v1, 0.0, 0, 0, 1, axes, light, block, sample)
                     left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
                     for a in range(3):
                         sample[a, 0] = int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
@@ -350,24 +337,13 @@ def _shade_image(
                     if word >= 0:
                         slot = slot_of(word)
                         if triangles[slot] != word:
-                            set_up(
-                                word,
-                                slot,
-                                cache,
-                                geometry,
-                                surface,
-                                cofactors,
-                                view,
-                                target,
-                                linear,
-                                pixel,
-                                axes,
-                                light_at,
-                            )
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                             _tint(word, slot, cache, cast, target)
-                        _light_run(slot, cache, texture_at, u, v, step, x, low, high, light_at, coordinates, strip)
+                        _light_run(
+                            slot, cache, texture_at, u, v, step, x, low, high, axes, light, block, coordinates, strip
+                        )
                     else:
-                        _sky_run(u, v, step, x, low, high, sky, light_at, strip)
+                        _sky_run(u, v, step, x, low, high, axes, light, block, strip)
                     low = high
                     if again:
                         low, high = next_blocks(marks, x, low, end)
@@ -498,23 +474,30 @@ def _tint(word, slot, cache, cast, target):
 
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
-def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, light_at, coordinates, strip):
+def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light, block, coordinates, strip):
     """Lights pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
     _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
-    strip_at, planes_at = np.uintp(strip.ctypes.data), np.uintp(planes.ctypes.data) + np.uintp(slot * 3 * LANES * 8)
+    strip_at = np.uintp(strip.ctypes.data)
     attributes_at = np.uintp(attributes.ctypes.data) + np.uintp(slot * ATTRIBUTES * 4)
+    block_at, light_at = np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     coordinates_at, coordinates_bytes = np.uintp(coordinates.ctypes.data), np.uintp(coordinates.shape[1] * 4)
-    level, even = levels[slot], np.int32(attributes[slot, EVENNESS])
+    level = levels[slot]
+    for k in range(3):
+        block[2 * k + 1] = planes[slot, k, 0] * step
+        block[RAY + 2 * k + 1] = axes[k, 0] * step
+    # blocks start from numbers in double: a plane that is stepped through a wide picture in float32 would drift
     for x in range(low, end, 8):
-        first, at = u + step * (x - begin), strip_at + np.uintp(x * 4)
+        first = u + step * (x - begin)
+        for k in range(3):
+            block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
+            block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+        at = strip_at + np.uintp(x * 4)
         if level == NO_TEXTURE:
-            light_block(planes_at, first, v, step, even, attributes_at, light_at, at, row_bytes)
+            light_block(block_at, attributes_at, light_at, at, row_bytes)
         else:
             uv_at = coordinates_at + np.uintp(x * 4)
-            light_coordinates_block(
-                planes_at, first, v, step, even, attributes_at, light_at, at, row_bytes, uv_at, coordinates_bytes
-            )
+            light_coordinates_block(block_at, attributes_at, light_at, at, row_bytes, uv_at, coordinates_bytes)
     if level != NO_TEXTURE:
         levels_at, words_at = texture_at[0] + np.uintp(level * LEVEL_WORDS * 4), texture_at[1]
         for x in range(low, end, 8):
@@ -527,13 +510,21 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, light_at, c
     if attributes[slot, GLOSS] > 0:
         for x in range(low, end, 8):
             first = u + step * (x - begin)
-            gloss_block(planes_at, first, v, step, attributes_at, strip_at + np.uintp(x * 4), row_bytes)
+            for k in range(3):
+                block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
+                block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+            gloss_block(block_at, attributes_at, strip_at + np.uintp(x * 4), row_bytes)
 
 
 @kernel_part(forceinline=True)
-def _sky_run(u, v, step, begin, low, end, sky, light_at, strip):
+def _sky_run(u, v, step, begin, low, end, axes, light, block, strip):
     """Fills background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)
-    strip_at, sky_at = np.uintp(strip.ctypes.data), np.uintp(sky.ctypes.data)
+    strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    for k in range(3):
+        block[RAY + 2 * k + 1] = axes[k, 0] * step
     for x in range(low, end, 8):
-        sky_block(sky_at, u + step * (x - begin), v, step, light_at, strip_at + np.uintp(x * 4), row_bytes)
+        first = u + step * (x - begin)
+        for k in range(3):
+            block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+        sky_block(block_at, light_at, strip_at + np.uintp(x * 4), row_bytes)

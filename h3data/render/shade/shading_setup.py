@@ -8,36 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel_part
-from h3data.kernels.vectors import LANES
 from h3data.render.raster.raster import CLUSTER, INSTANCE
 from h3data.render.shade.shading_simd import (
     ATTRIBUTES,
     COLOR,
     COLOR_1,
     COLOR_2,
-    EVENNESS,
-    FLAT,
     GLOSS,
     LAST_LEVEL,
     MIRROR,
     MIRROR_SIDES,
-    NEARNESS,
     NEARNESS_STEP,
     NORMAL,
     NORMAL_1,
     NORMAL_2,
-    PLAIN,
-    RAY,
-    SECOND,
     TEXELS,
-    THIRD,
     UV,
     UV_1,
     UV_2,
     UV_STEP_X,
     UV_STEP_Y,
-    VARIED,
-    flat_normal,
 )
 from h3data.render.shade.textures import WORD_SCALE
 from h3data.render.shade.textures_simd import FOLLOWING, HEIGHT, WIDTH
@@ -54,7 +44,7 @@ class Cache(NamedTuple):
     words: NDArray[np.int32]
     """Pixel word of each triangle, -1 = empty, shape [N]."""
     planes: NDArray[np.float64]
-    """Coefficients of u, v and 1 of what is linear in the ray (u, v, 1), as laid out in `shading_simd`, shape [N, 3, LANES]."""
+    """Value 1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
     attributes: NDArray[np.float32]
     """Attributes as laid out in `shading_simd`, shape [N, ATTRIBUTES]."""
     levels: NDArray[np.int32]
@@ -65,7 +55,7 @@ def new_cache() -> Cache:
     """An empty cache."""
     return Cache(
         np.full(CACHE_SIZE, -1, np.int32),
-        np.empty((CACHE_SIZE, 3, LANES)),
+        np.empty((CACHE_SIZE, 3, 3)),
         np.empty((CACHE_SIZE, ATTRIBUTES), np.float32),
         np.empty(CACHE_SIZE, np.int32),
     )
@@ -78,11 +68,8 @@ def slot_of(word):
 
 
 @kernel_part(forceinline=True)
-def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel, axes, light_at):
-    """Cache the triangle of a pixel's word.
-
-    ``pixel`` is the size (x, y) of a pixel at z = 1, ``axes`` are those of the rays' directions.
-    """
+def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel):
+    """Caches the triangle of a pixel's word; ``pixel`` is the size (x, y) of a pixel at z = 1."""
     instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
     packet = geometry.cluster_packets[cluster, 0] + ((word & 127) >> 3)
     lane = word & 7
@@ -94,8 +81,7 @@ def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear
     cache.words[slot] = word
     planes, attributes = cache.planes[slot], cache.attributes[slot]
     _set_up_planes(soup, packet, lane, target.camera_from_mesh[instance], view, planes, attributes)
-    set_up_rays(axes, planes)
-    _set_up_attributes(surface, face, cofactors[instance], linear, attributes, light_at)
+    _set_up_attributes(surface, face, cofactors[instance], linear, attributes)
     _set_up_mirror(surface, face, attributes)
     texture = surface.face_textures[face]
     cache.levels[slot] = NO_TEXTURE
@@ -121,7 +107,7 @@ def _cross(a, b):
 
 @kernel_part(forceinline=True)
 def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
-    """Fills the coefficients of 1/z and of the barycentrics of vertices 1 and 2 over z.
+    """Fills the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
 
     All three share an arbitrary factor, which cancels. Also fills the geometric world normal, facing the eye. For
     orthographic cameras, 1 takes the place of z.
@@ -144,20 +130,12 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
         n = (0.0, 0.0, n[2])
     s, t = _cross(r, p), _cross(p, q)
     for a in range(3):
-        planes[a, NEARNESS], planes[a, SECOND], planes[a, THIRD] = n[a], s[a], t[a]
+        planes[0, a], planes[1, a], planes[2, a] = n[a], s[a], t[a]
 
 
 @kernel_part(forceinline=True)
-def set_up_rays(axes, planes):
-    """Fill the coefficients of the rays, whose directions have these axes, and zeros in the columns after them."""
-    for a in range(LANES - RAY):
-        for k in range(3):
-            planes[k, RAY + a] = axes[a, k] if a < 3 else 0.0
-
-
-@kernel_part(forceinline=True)
-def _set_up_attributes(surface, face, cofactor, linear, attributes, light_at):
-    """Fills colours, vertex normals if the mesh has them, and what is equal at all three vertices."""
+def _set_up_attributes(surface, face, cofactor, linear, attributes):
+    """Fills colours and, if the mesh has them, vertex normals on the side of the geometric normal."""
     faces, colors, normals = surface.faces, surface.colors, surface.normals
     i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
     for a in range(3):
@@ -167,32 +145,17 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes, light_at):
         attributes[COLOR_2 + a] = linear[colors[k, a]] - color
         attributes[NORMAL_1 + a] = 0
         attributes[NORMAL_2 + a] = 0
-    _set_up_normals(normals, (i, j, k), cofactor, attributes)
-    evenness = PLAIN
-    for a in range(3):
-        if attributes[COLOR_1 + a] != 0 or attributes[COLOR_2 + a] != 0:
-            evenness = min(evenness, FLAT)
-        if attributes[NORMAL_1 + a] != 0 or attributes[NORMAL_2 + a] != 0:
-            evenness = VARIED
-    attributes[EVENNESS] = evenness
-    if evenness != VARIED:
-        flat_normal(np.uintp(attributes.ctypes.data), light_at)
-
-
-@kernel_part(forceinline=True)
-def _set_up_normals(normals, corners, cofactor, attributes):
-    """Takes vertex normals in place of the geometric normal, on its side, unless the mesh has none, or degenerate ones."""
     flat = (attributes[NORMAL], attributes[NORMAL + 1], attributes[NORMAL + 2])
     n0, n1, n2 = (
-        _world_normal(normals, corners[0], cofactor),
-        _world_normal(normals, corners[1], cofactor),
-        _world_normal(normals, corners[2], cofactor),
+        _world_normal(normals, i, cofactor),
+        _world_normal(normals, j, cofactor),
+        _world_normal(normals, k, cofactor),
     )
     side = 0.0
     for a in range(3):
         side += (n0[a] + n1[a] + n2[a]) * flat[a]
     if side == 0:
-        return
+        return  # flat shading: the mesh has no normals, or degenerate ones
     # a mirrored instance turns its normals inside out, and surfaces are lit on both sides
     sign = -1.0 if side < 0 else 1.0
     for a in range(3):
@@ -241,9 +204,9 @@ def _set_up_texture(surface, face, level, planes, pixel, attributes):
         second, third = uv[j, a] - start, uv[k, a] - start
         attributes[UV + a] = start - np.floor(start)
         attributes[UV_1 + a], attributes[UV_2 + a] = second, third
-        attributes[UV_STEP_X + a] = (second * planes[0, SECOND] + third * planes[0, THIRD]) * pixel[0]
-        attributes[UV_STEP_Y + a] = (second * planes[1, SECOND] + third * planes[1, THIRD]) * pixel[1]
-        attributes[NEARNESS_STEP + a] = planes[a, NEARNESS] * pixel[a]
+        attributes[UV_STEP_X + a] = (second * planes[1, 0] + third * planes[2, 0]) * pixel[0]
+        attributes[UV_STEP_Y + a] = (second * planes[1, 1] + third * planes[2, 1]) * pixel[1]
+        attributes[NEARNESS_STEP + a] = planes[0, a] * pixel[a]
     # texels come as squared steps, so the colour that they multiply takes the size of a step
     for a in range(3):
         for corner in (COLOR, COLOR_1, COLOR_2):

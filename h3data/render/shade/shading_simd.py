@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 
 from h3data.kernels.vectors import (
-    DOUBLE8,
     FLOAT8,
     INT,
     INT8,
@@ -39,17 +37,13 @@ UV, UV_1, UV_2, TEXELS, NEARNESS_STEP, UV_STEP_X, UV_STEP_Y, LAST_LEVEL = 18, 20
 # Light that a glossy surface mirrors from -x, +x, +y, -z and +z, likewise; and whether it is glossy.
 MIRROR, GLOSS = 33, 48
 MIRROR_SIDES = 5
-# What is equal at the three vertices: `VARIED` (nothing), `FLAT` (normals) or `PLAIN` (normals and colours). Unless VARIED,
-# the unit normal and its cosines to the two directions of the light, see `flat_normal`.
-EVENNESS, UNIT, SUNNY, FILLED = 49, 50, 53, 54
-VARIED, FLAT, PLAIN = range(3)
-ATTRIBUTES = 55
-# Rows of 8 equal float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, two
-# directions, and the colours of the background.
+ATTRIBUTES = 49
+# Float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, two directions, and the
+# colours of the background.
 MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH = 0, 3, 6, 9, 12, 15, 18, 21, 24
-# Columns of the coefficients of u, v and 1 of what is linear in the ray (u, v, 1), float64 [3, LANES]: 1/z, the barycentrics
-# of vertices 1 and 2 over z, and the ray in the world frame.
-NEARNESS, SECOND, THIRD, RAY = 0, 1, 2, 3
+# Float32 words of a block's rays and planes: value at its first pixel, then the increment per pixel.
+NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
+BLOCK_WORDS = 12
 FACING_SHARE, GRAZING_SHARE = 0.04, 0.5
 """Shares of light that a glossy floor reflects at right angles, as all varnish and glaze do, and at grazing angles: 1 less
 the roughness, 0.5 (Lagarde 2011, "Adopting a physically based shading model")."""
@@ -66,22 +60,10 @@ def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
     return [spread(b, address, first + a) for a in range(count)]
 
 
-def _light_words(b: Any, light_at: Any, first: int) -> list[Vec]:
-    return [Vec(b, load(b, light_at, 4 * LANES * (first + a))) for a in range(3)]
-
-
-def _linear(b: Any, planes_at: Any, u: Any, v: Any, step: Any) -> Callable[[int], Vec]:
-    """Return a function of a column: what is linear in the ray, at 8 pixels of which the first looks along (u, v, 1)."""
-    # the start is computed in double: a plane that is stepped through a wide picture in float32 would drift
-    of_u, of_v, constant = (Vec(b, load(b, planes_at, 8 * LANES * k, DOUBLE8)) for k in range(3))
-    u, v, step = (Vec(b, splat(b, value, DOUBLE8)) for value in (u, v, step))
-    start, each = (b.fptrunc(value.value, FLOAT8) for value in (of_u * u + of_v * v + constant, of_u * step))
-
-    def column(k: int) -> Vec:
-        first, further = (Vec(b, pick(b, value, value, [k] * LANES)) for value in (start, each))
-        return fma(further, lanes(b), first)
-
-    return column
+def _linear(b: Any, block_at: Any, first: int) -> Vec:
+    """A quantity that is linear in x, at 8 pixels."""
+    start, step = (spread(b, block_at, first + k) for k in range(2))
+    return fma(step, lanes(b), start)
 
 
 def _store_level(b: Any, color: Vec, strip_at: Any) -> None:
@@ -117,56 +99,31 @@ def _store_coordinates(
         coordinates_at = b.add(coordinates_at, row_bytes)
 
 
-def _unit_normal(b: Any, normal: list[Vec], light_at: Any) -> tuple[list[Vec], Vec, Vec]:
-    """A normal of length 1, and its cosines to the two directions of the light."""
-    # normals of opposite directions may cancel out in the middle of a triangle
-    scale = _dot(normal, normal).maximum(1e-20).unary("sqrt").reciprocal()
-    normal = [n * scale for n in normal]
-    sunny, filled = (
-        _dot(normal, _light_words(b, light_at, first)).maximum(0.0) for first in (SUN_DIRECTION, FILL_DIRECTION)
-    )
-    return normal, sunny, filled
-
-
-@intrinsic
-def flat_normal(typing_context, attributes_at, light_at):
-    """Fill the unit normal of a triangle whose vertices have one normal, and its cosines, with the bits of `light_block`."""
-
-    def codegen(context, b, signature, arguments):
-        attributes_at, light_at = arguments
-        # + 0.0: interpolation makes +0.0 of -0.0
-        normal, sunny, filled = _unit_normal(b, [n + 0.0 for n in _words(b, attributes_at, NORMAL)], light_at)
-        for k, value in enumerate((*normal, sunny, filled)):
-            store(b, b.extract_element(value.value, ir.Constant(INT, 0)), attributes_at, 4 * (UNIT + k))
-        return context.get_dummy_value()
-
-    return types.void(types.uintp, types.uintp), codegen
-
-
 def _emit_light(
-    b: Any,
-    linear: Callable[[int], Vec],
-    attributes_at: Any,
-    light_at: Any,
-    strip_at: Any,
-    row_bytes: Any,
-    coordinates: Any,
-    evenness: int,
+    b: Any, block_at: Any, attributes_at: Any, light_at: Any, strip_at: Any, row_bytes: Any, coordinates: Any = None
 ) -> None:
+    def mix(first: int) -> list[Vec]:
+        return _mix(b, attributes_at, first, second, third)
+
     # perspective-correct barycentrics: (b / z) / (1 / z); clamped, because the inside test is slightly enlarged
-    z = linear(NEARNESS).reciprocal()
-    second, third = ((linear(column) * z).maximum(0.0).minimum(1.0) for column in (SECOND, THIRD))
+    z = _linear(b, block_at, NEARNESS).reciprocal()
+    second = (_linear(b, block_at, SECOND) * z).maximum(0.0).minimum(1.0)
+    third = (_linear(b, block_at, THIRD) * z).maximum(0.0).minimum(1.0)
+
     if coordinates is not None:
         _store_coordinates(b, attributes_at, z, second, third, *coordinates)
-    if evenness == VARIED:
-        normal, sunny, filled = _unit_normal(b, _mix(b, attributes_at, NORMAL, second, third), light_at)
-    else:
-        *normal, sunny, filled = _words(b, attributes_at, UNIT, 5)
-    ray = [linear(RAY + a) for a in range(3)]
+    normal = mix(NORMAL)
+    # normals of opposite directions may cancel out in the middle of a triangle
+    squared = _dot(normal, normal).maximum(1e-20)
+    scale = squared.unary("sqrt").reciprocal()
+    normal = [n * scale for n in normal]
+    ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
     facing = (-_dot(normal, ray)).maximum(0.0).divided_by(_dot(ray, ray).unary("sqrt"))
+    sunny = _dot(normal, _words(b, light_at, SUN_DIRECTION)).maximum(0.0)
+    filled = _dot(normal, _words(b, light_at, FILL_DIRECTION)).maximum(0.0)
 
-    color = _words(b, attributes_at, COLOR) if evenness == PLAIN else _mix(b, attributes_at, COLOR, second, third)
-    mean, up, sun, fill, head = (_light_words(b, light_at, k) for k in (MEAN, UP, SUN, FILL, HEADLIGHT))
+    color = mix(COLOR)
+    mean, up, sun, fill, head = (_words(b, light_at, k) for k in (MEAN, UP, SUN, FILL, HEADLIGHT))
     for a in range(3):
         light = fma(up[a], normal[1], fma(sun[a], sunny, fma(fill[a], filled, fma(head[a], facing, mean[a]))))
         if coordinates is None:
@@ -179,44 +136,25 @@ def _emit_light(
         strip_at = b.add(strip_at, row_bytes)
 
 
-def _emit_each_light(b: Any, arguments: Any, coordinates: Any = None) -> None:
-    """`_emit_light`, without what is equal at all pixels of a triangle."""
-    planes_at, u, v, step, evenness, *addresses = arguments
-    for which in (VARIED, FLAT, PLAIN):
-        with b.if_then(b.icmp_signed("==", evenness, ir.Constant(INT, which))):
-            _emit_light(b, _linear(b, planes_at, u, v, step), *addresses, coordinates, which)
-
-
 @intrinsic
-def light_block(typing_context, planes_at, u, v, step, evenness, attributes_at, light_at, strip_at, row_bytes):
-    """Lights 8 neighbouring pixels of one triangle, which look along (u, v, 1), (u + step, v, 1), and so on.
+def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
+    """Lights 8 neighbouring pixels of one triangle.
 
     Takes the addresses of the tables described above and of a strip of 6 rows: three receive linear levels (int32), three
     the unit normal (float32).
     """
 
     def codegen(context, builder, signature, arguments):
-        _emit_each_light(builder, arguments)
+        _emit_light(builder, *arguments)
         return context.get_dummy_value()
 
-    p, d = types.uintp, types.float64
-    return types.void(p, d, d, d, types.int32, p, p, p, p), codegen
+    p = types.uintp
+    return types.void(p, p, p, p, p), codegen
 
 
 @intrinsic
 def light_coordinates_block(
-    typing_context,
-    planes_at,
-    u,
-    v,
-    step,
-    evenness,
-    attributes_at,
-    light_at,
-    strip_at,
-    row_bytes,
-    coordinates_at,
-    coordinates_bytes,
+    typing_context, block_at, attributes_at, light_at, strip_at, row_bytes, coordinates_at, coordinates_bytes
 ):
     """`light_block` for a textured triangle; `texture_block` completes it.
 
@@ -224,11 +162,11 @@ def light_coordinates_block(
     """
 
     def codegen(context, builder, signature, arguments):
-        _emit_each_light(builder, arguments[:9], arguments[9:])
+        _emit_light(builder, *arguments[:5], coordinates=arguments[5:])
         return context.get_dummy_value()
 
-    p, d = types.uintp, types.float64
-    return types.void(p, d, d, d, types.int32, *[p] * 6), codegen
+    p = types.uintp
+    return types.void(p, p, p, p, p, p, p), codegen
 
 
 @intrinsic
@@ -255,7 +193,7 @@ def texture_block(
 
 
 @intrinsic
-def gloss_block(typing_context, planes_at, u, v, step, attributes_at, strip_at, row_bytes):
+def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
     """Mixes mirrored light into the levels of 8 pixels, strip as in `light_block`: a hint, without tracing.
 
     The share is Schlick's ("An Inexpensive BRDF Model", 1994); the light is that of an ambient cube in the mirrored
@@ -263,10 +201,10 @@ def gloss_block(typing_context, planes_at, u, v, step, attributes_at, strip_at, 
     """
 
     def codegen(context, b, signature, arguments):
-        *at_pixels, attributes_at, strip_at, row_bytes = arguments
-        linear = _linear(b, *at_pixels)
-        z = linear(NEARNESS).reciprocal()
-        second, third = ((linear(column) * z).maximum(0.0).minimum(1.0) for column in (SECOND, THIRD))
+        block_at, attributes_at, strip_at, row_bytes = arguments
+        z = _linear(b, block_at, NEARNESS).reciprocal()
+        second = (_linear(b, block_at, SECOND) * z).maximum(0.0).minimum(1.0)
+        third = (_linear(b, block_at, THIRD) * z).maximum(0.0).minimum(1.0)
         from_west, from_east, above, from_north, from_south = _mix(
             b, attributes_at, MIRROR, second, third, MIRROR_SIDES
         )
@@ -274,7 +212,7 @@ def gloss_block(typing_context, planes_at, u, v, step, attributes_at, strip_at, 
         for _ in range(3):
             normal.append(Vec(b, load(b, at)))
             at = b.add(at, row_bytes)
-        ray = [linear(RAY + a) for a in range(3)]
+        ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
         scale = _dot(ray, ray).unary("sqrt").reciprocal()
         ray = [r * scale for r in ray]
         facing = (-_dot(normal, ray)).maximum(0.0).minimum(1.0)
@@ -297,21 +235,20 @@ def gloss_block(typing_context, planes_at, u, v, step, attributes_at, strip_at, 
             strip_at = b.add(strip_at, row_bytes)
         return context.get_dummy_value()
 
-    p, d = types.uintp, types.float64
-    return types.void(p, d, d, d, p, p, p), codegen
+    p = types.uintp
+    return types.void(p, p, p, p), codegen
 
 
 @intrinsic
-def sky_block(typing_context, planes_at, u, v, step, light_at, strip_at, row_bytes):
+def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
     """Fills 8 neighbouring background pixels, from horizon to zenith by the ray's elevation; strip as in `light_block`."""
 
     def codegen(context, b, signature, arguments):
-        *at_pixels, light_at, strip_at, row_bytes = arguments
-        linear = _linear(b, *at_pixels)
-        ray = [linear(RAY + a) for a in range(3)]
+        block_at, light_at, strip_at, row_bytes = arguments
+        ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
         # the sine of the elevation; below the horizon all is as at the horizon
         height = ray[1].divided_by(_dot(ray, ray).unary("sqrt")).maximum(0.0).minimum(1.0)
-        for horizon, zenith in zip(*(_light_words(b, light_at, k) for k in (HORIZON, ZENITH)), strict=True):
+        for horizon, zenith in zip(_words(b, light_at, HORIZON), _words(b, light_at, ZENITH), strict=True):
             _store_level(b, fma(zenith - horizon, height, horizon), strip_at)
             strip_at = b.add(strip_at, row_bytes)
         # no normal where nothing is seen
@@ -320,8 +257,8 @@ def sky_block(typing_context, planes_at, u, v, step, light_at, strip_at, row_byt
             strip_at = b.add(strip_at, row_bytes)
         return context.get_dummy_value()
 
-    p, d = types.uintp, types.float64
-    return types.void(p, d, d, d, p, p, p), codegen
+    p = types.uintp
+    return types.void(p, p, p, p), codegen
 
 
 @intrinsic

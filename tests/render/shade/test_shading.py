@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.mesh import Mesh
 from h3data.render import (
     Camera,
     Light,
@@ -261,23 +261,3 @@ def test_mirrors_of_the_wrong_shape_are_named():
     for mirror in (np.zeros((2, 5)), np.full((3, 5), np.nan)):
         with pytest.raises(InputError, match=r"(?s)mirrors of mesh 0.*H3-RENDER-067"):
             RenderScene([floor], [RenderInstance(0, np.eye(4))], mirrors={0: mirror.astype(np.float32)})
-
-
-@pytest.mark.parametrize("samples", [1, 4])
-@pytest.mark.parametrize("colors", [[[200, 120, 40]] * 3, [[200, 120, 40], [10, 250, 90], [70, 60, 255]]])
-@pytest.mark.parametrize("textured", [False, True])
-def test_flat_triangles_are_shaded_with_the_bits_of_those_that_are_interpolated(textured, colors, samples):
-    texture = Texture(pixels=np.random.default_rng(3).integers(100, 256, (8, 8, 4)).astype(np.uint8))
-    mesh = dataclasses.replace(
-        triangle([[-2, -1, 0.5], [2, -1.5, 0], [0.3, 2, -0.7]], colors, np.float32([[0.6, 0.8, 0]] * 3)),
-        uv=np.float32([[0, 0], [3, 0], [0, 3]]),
-        textures=(texture,) if textured else (),
-    )
-    # the third component differs, but by less than any digit of a colour
-    nearly = dataclasses.replace(mesh, normals=np.float32([[0.6, 0.8, 0], [0.6, 0.8, 1e-30], [0.6, 0.8, 0]]))
-    camera = pinhole(123, 77, hfov_deg=70, pose=look_at([0.4, 0.6, 3], [0, 0.2, 0]))
-    flat, interpolated = (draw(one, camera, samples=samples) for one in (mesh, nearly))
-    assert (flat["instance"] == 0).mean() > 0.3
-    np.testing.assert_array_equal(flat["rgb"], interpolated["rgb"])
-    np.testing.assert_array_equal(flat["normal"][..., :2], interpolated["normal"][..., :2])
-    np.testing.assert_allclose(flat["normal"], interpolated["normal"], rtol=0, atol=1e-29)
