@@ -92,6 +92,8 @@ class VideoWriter:
             raise InputError(f"Unknown codec {codec!r}. Expected one of: {', '.join(_SETTINGS)}.", code="H3-RENDER-074")
         self.path = Path(path)
         self.width, self.height, self.fps, self.codec = int(width), int(height), fps, codec
+        # such as 30000 / 1001, the frame rate of television
+        self._rate = Fraction(fps).limit_denominator(1001)
         self.frame_count = 0
         self._options = dict(_SETTINGS[codec].options)
         quality = {"h264": 23, "av1": 32}
@@ -131,11 +133,6 @@ class VideoWriter:
                 self._stream.codec_context.color_range = 1
             self._stack = stack.pop_all()
         return self
-
-    @property
-    def _rate(self) -> Fraction:
-        # such as 30000 / 1001, the frame rate of television
-        return Fraction(self.fps).limit_denominator(1001)
 
     def write(self, image: NDArray[Any]) -> None:
         """Append one frame."""
