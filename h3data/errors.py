@@ -65,7 +65,7 @@ def with_code(error: BaseException) -> str:
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` with the valid name closest to an unknown one; empty if none is close."""
+    """Return `` Did you mean 'x'?`` with the valid name closest to an unknown one; an empty string if none is close."""
     from difflib import get_close_matches
 
     by_lower = {other.lower(): other for other in valid}
@@ -74,7 +74,7 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", more: str = "") -> str:
-    """Ending of an error message about an unknown name: the closest valid name, or else all valid names.
+    """Return the end of an error message about an unknown name: the closest valid name, or else all valid names.
 
     Returns `` Did you mean 'x'?`` if a valid name is similar, otherwise `` Expected one of: a, b<more>.``, where
     ``lead`` replaces "Expected one of".
@@ -84,7 +84,7 @@ def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", m
 
 
 def suggest_keywords(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: the `TypeError` of an unknown keyword argument says which one was meant, or which there are.
+    """Decorate a function so that the `TypeError` of an unknown keyword argument names the closest one, or all of them.
 
     Python does so itself from 3.13 on, but not which there are. For functions without ``**`` arguments.
     """

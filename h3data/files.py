@@ -43,7 +43,7 @@ def path_inside(name: str) -> str | None:
 
 
 def cache_folder(kind: str) -> Path | None:
-    """Cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
+    """Return the cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
 
     None if ``H3DATA_CACHE`` is ``off`` or there is no home folder.
     """

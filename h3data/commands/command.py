@@ -213,7 +213,7 @@ def open_episode(path: AnyPath) -> Recording:
 
 
 def recording_stem(path: Path) -> str:
-    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    """Return the name of a recording's file without its endings: ``my_session`` for ``my_session.gfx_replay.json.gz``."""
     name = path.name
     # from the last suffix inwards
     for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
@@ -241,7 +241,7 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
 
 
 def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any], ...]:
-    """Names and values of single rules of a task, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+    """Parse rules of a task from ``NAME=VALUE``, with a value as in JSON or a bare word, into names and values.
 
     ``named`` are rules that have an option of their own; None leaves one out.
 

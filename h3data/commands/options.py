@@ -313,7 +313,7 @@ def in_python_words(message: str, command: type[Command]) -> str:
 
 
 def command_line(name: str, command: Command) -> str:
-    """Command line that repeats a command, without options that do not affect its result.
+    """Return the command line that repeats a command, without options that do not affect its result.
 
     Paths are shortened to their last part where they lead outside the working folder, since the line is stored in
     datasets that are given to others.

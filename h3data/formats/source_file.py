@@ -53,7 +53,7 @@ class SourceFile(os.PathLike[str]):
         return b"".join(self.chunks())
 
     def chunks(self) -> Iterator[bytes]:
-        """The content in pieces, which are held only by the caller."""
+        """Yield the content in pieces, which only the caller holds in memory."""
         if "data" in self.__dict__:
             yield self.data
             return
@@ -68,7 +68,7 @@ class SourceFile(os.PathLike[str]):
 
 
 def byte_chunks(path: Path, size: int = CHUNK_BYTES) -> Iterator[bytes]:
-    """The content of a file, unpacked if it is gzip, in pieces of at most ``size`` bytes.
+    """Yield the content of a file, unpacked if it is gzip, in pieces of at most ``size`` bytes.
 
     Raises:
         InputError: there is no such file, or it cannot be read.

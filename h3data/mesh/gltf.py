@@ -157,7 +157,7 @@ class GltfFile:
 
     # --- triangles ----------------------------------------------------------------------------------------------------
     def mesh(self, node: dict[str, Any]) -> list[PlainMesh]:
-        """Primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
+        """Return the primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
 
         Morph targets are added with the node's weights, or else with the mesh's.
         """
@@ -186,7 +186,7 @@ class GltfFile:
                 _log.warning("%s has no POSITION, it is left out: %s", where, self.path)
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
-        """Every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
+        """Yield every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
 
         A skin comes posed in that frame by its joints: the transforms of its node do not count (glTF 3.7.3.3).
         """
@@ -204,7 +204,7 @@ class GltfFile:
             yield posed, place
 
     def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
-        """Every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
+        """Yield every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
         placed = self._placed_meshes()
         meshes = {node["mesh"] for node, _ in placed}
         # from the counts of accessors, before anything is read: a few bytes can instance a mesh a million times

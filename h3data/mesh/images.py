@@ -33,7 +33,7 @@ _textures: WeakValueDictionary[tuple[Any, ...], Texture] = WeakValueDictionary()
 
 
 def image_size(data: bytes | memoryview) -> tuple[int, int]:
-    """Width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
+    """Return the width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
     if data[:12] == _KTX2:
         if len(data) < 80:
             raise SceneError("it is cut off", code="H3-MESH-016")

@@ -99,7 +99,10 @@ def measure_tables(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> tuple[MetricsTable, ...]:
-    """Measures files as `measure_files`, with a table for each task whose metrics differ; the first lists what is left out."""
+    """Measure files as `measure_files` does, with a table for each task whose metrics differ.
+
+    The notes of the first table list what is left out.
+    """
     rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
     for row in rows:
@@ -169,7 +172,10 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """The episodes of a part by their numbers, from a dataset with no more than the profile reads; of damaged ones, why."""
+    """Yield the episodes of a part by their numbers; instead of a damaged one, the error.
+
+    Of a dataset, only the columns that the profile needs are read.
+    """
     if part.episodes is None:
         yield 0, read_log(part.source)
         return
@@ -191,7 +197,7 @@ def _opened(source: AnyPath, job: str) -> Dataset:
 
 
 def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
-    """Metrics without the functions that compute them."""
+    """Return the metrics without the functions that compute them, to send them between processes."""
     return replace(measured, metrics=_described(measured.metrics))
 
 

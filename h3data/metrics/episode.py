@@ -143,20 +143,26 @@ def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
 
 
 def deviation_lines(deviations: Iterable[str]) -> list[str]:
-    """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
+    """Return lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`).
+
+    The most frequent ones come first.
+    """
     counted = Counter(text for text in deviations if text)
     lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
     return ["Rules that differ from the paper's, so its numbers do not compare:", *lines] if lines else []
 
 
 def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
-    """Lines about notes, each with the names of its metrics; none without any."""
+    """Return the lines about notes, each with the names of its metrics; none without any."""
     lines = [f"  {', '.join(names)}: {text}" for text, names in notes.items()]
     return ["Notes", *lines] if lines else []
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
+    """Return the partners with the same plan, who share a recording.
+
+    They are in ``info["partners"]`` of recordings of ``h3data evaluate --save-recordings``.
+    """
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
 

@@ -104,7 +104,7 @@ class MetricsTable:
         return lines
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
-        """Summary, notes and all episodes as JSON types; NaN becomes None."""
+        """Return the summary, the notes and all episodes as JSON types; NaN becomes None."""
         summary = {
             name: {
                 "mean": _or_none(s.mean),
@@ -156,7 +156,7 @@ def summarize_all(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> dict[str, Summary]:
-    """`summarize` of metrics by name, ``columns`` being their values [E]; together they take a third of the time."""
+    """Summarize metrics by name, as `summarize` does, in a third of the time; ``columns`` are their values [E]."""
     # an undefined value is left out of the mean, never taken for 0
     defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
     means = [m.name for m in metrics if not m.binary]

@@ -52,19 +52,19 @@ def rtt_column(user: int) -> str:
 
 
 def live_inputs(recording: Recording) -> list[LiveInput]:
-    """Input of each player of a live session; empty for other recordings."""
+    """Return the input of each player of a live session; empty for other recordings."""
     users = sorted({e.user for e in recording.inputs if e.kind in (CLIENT, CONNECTED)})
     return [_of(recording, user, [e for e in recording.inputs if e.user == user]) for user in users]
 
 
 def slipped_steps(recording: Recording) -> int:
-    """Steps that the server of a live session was too slow to play."""
+    """Return the steps that the server of a live session was too slow to play."""
     slips = (_json(event).get("steps") for event in recording.inputs if event.kind == SLIP)
     return sum(steps for steps in slips if isinstance(steps, int))
 
 
 def remark_lines(recording: Recording) -> list[str]:
-    """Lines about the problems that players have reported, and their answers to the question at the end."""
+    """Return lines of text with the problems that players have reported, and their answers to the question at the end."""
     hitl = recording.episode.info.get("hitl")
     lines = []
     for remark in hitl.get("remarks", ()) if isinstance(hitl, dict) else ():

@@ -20,7 +20,7 @@ FOXGLOVE_SUFFIX = ".foxglove.mcap"
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
-    """Logs in a folder, or anywhere below it, sorted; files for Foxglove are left out."""
+    """Return the logs in a folder and below it, sorted; files for Foxglove are left out."""
     paths = folder.rglob("*.mcap") if below else folder.glob("*.mcap")
     return sorted(path for path in paths if not path.name.endswith(FOXGLOVE_SUFFIX))
 

@@ -237,7 +237,7 @@ class Recording:
         return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
 
     def agent_column(self, agent: int, name: str) -> NDArray[Any]:
-        """Column ``agent_<agent>.<name>``; an `UnknownColumnError`, which is a `KeyError`, if there is none."""
+        """Return column ``agent_<agent>.<name>``; raise an `UnknownColumnError` (a `KeyError`) if there is none."""
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:

@@ -86,7 +86,7 @@ def topic_of(column: str) -> Topic:
 
 
 def log_topic_of(column: str) -> Topic:
-    """Per-step topic of the log that a column is written to.
+    """Return the per-step topic of the log that a column is written to.
 
     Metrics share the topic of the state: a topic of their own took 21 B/step, 16 of them in the index.
     """
@@ -94,7 +94,7 @@ def log_topic_of(column: str) -> Topic:
 
 
 def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
-    """Layout of arrays [T, ...], in their order; an `InputError` names every column that cannot be stored."""
+    """Return the layout of arrays [T, ...], in their order; an `InputError` names every column that cannot be stored."""
     layout, faults = [], []
     for name, array in columns.items():
         array = np.asarray(array)
@@ -246,7 +246,7 @@ _FIELDS = {
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
-    """Fields of an asset, body, agent, event, skill span or input as plain values, with poses and scales rounded to float32."""
+    """Return the fields of a stored record as plain values, with poses and scales rounded to float32."""
     values: dict[str, Any] = {}
     for name, kind in STRUCTS[_STRUCT_NAMES[type(record)]].items():
         value = getattr(record, name)
@@ -299,7 +299,7 @@ def _plain(value: Any) -> Any:
 
 
 def info_to_json(info: Mapping[str, Any]) -> str:
-    """JSON of `Episode.info`; numpy numbers and arrays become plain ones."""
+    """Encode `Episode.info` as JSON; numpy numbers and arrays become plain ones."""
     try:
         return json.dumps(dict(info), ensure_ascii=False, default=_plain)
     except (TypeError, ValueError) as error:

@@ -112,7 +112,7 @@ class RemotePath:
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """Files and folders directly in this folder; none if it does not exist."""
+        """Yield the files and folders directly in this folder; none if it does not exist."""
         return (self / name for name in self._listed(recursive=False))
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
@@ -186,7 +186,7 @@ AnyPath = Path | RemotePath
 
 
 def masked(text: str) -> str:
-    """``text`` with ``***`` in place of the passwords and keys of URIs in it."""
+    """Replace the passwords and keys of URIs in a text by ``***``."""
     # paths end up in messages and logs: hidden are passwords before an @, and queries whose name says secret
     secret = re.compile(
         r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",

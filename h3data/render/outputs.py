@@ -48,7 +48,7 @@ def check_outputs(outputs: Sequence[str]) -> None:
 def picture_arrays(
     cameras: Sequence[Camera], outputs: Sequence[str], out: Mapping[str, NDArray] | None
 ) -> dict[str, NDArray]:
-    """Arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
+    """Return arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
     results: dict[str, NDArray] = {}
     for name in outputs:
         trailing, dtype = FORMS[name]

@@ -246,7 +246,7 @@ class Renderer:
 
 
 def gpu_fault() -> str:
-    """Reason why the back end ``gpu`` cannot be used here; empty if it can."""
+    """Return the reason why the back end ``gpu`` cannot be used here; empty if it can."""
     missing = ENGINES.missing().get("gpu")
     if missing:
         return f"it needs the package {missing}, which this installation does not have"

@@ -108,7 +108,10 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 
 
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
-    """`camera_track` at one step (negative steps count from the end), much faster for the ``third_person`` camera."""
+    """Return the camera of `camera_track` at one step, much faster for the ``third_person`` camera.
+
+    Negative steps count from the end.
+    """
     row, (name_or_file, size) = replay.row(step), split_size(name_or_file)
     if size is not None:
         track = camera_track(replay, name_or_file)

@@ -21,7 +21,7 @@ class LightField(Protocol):
     def blockers(
         self, capsules: NDArray[np.floating], groups: NDArray[np.integer], *, members: NDArray[np.integer]
     ) -> Blockers:
-        """Light that capsules [N, 7] of groups [N] block, where ``members`` [I] are the groups of all instances."""
+        """Return the light that capsules [N, 7] of groups [N] block; ``members`` [I] are the groups of all instances."""
         ...
 
 
@@ -38,7 +38,7 @@ class ShadowCasters:
     def blockers(
         self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
     ) -> Blockers:
-        """Blockers of light at one moment.
+        """Return the blockers of light at one moment.
 
         Args:
             rigid: Instances [n] and their matrices [n, 4, 4], NaN where absent.
@@ -71,7 +71,7 @@ def shadow_casters(
 
 
 def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Capsules [N, 7] under matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
+    """Move capsules [N, 7] by matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
     linear, origin = matrices[:, :3, :3], matrices[:, :3, 3]
     ends = [(linear @ capsules[:, k : k + 3, None])[..., 0] + origin for k in (0, 3)]
     size = np.cbrt(np.abs(np.linalg.det(np.nan_to_num(linear))))  # of bodies that are absent the ends are NaN

@@ -59,7 +59,7 @@ class Sight:
             self._renderer.set_transforms(self._moving, matrices)
 
     def around(self, point: Array) -> NDArray[np.float64]:
-        """Panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
+        """Return a panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
         poses = np.tile(np.eye(4), (SIDES, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = self._turns, point
         cameras = [self._side.at(pose) for pose in poses]

@@ -217,7 +217,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
         copies: _HostCopies | None = None,
     ) -> list[Images]:
-        """`render` for several steps at once, each in a world of the renderer.
+        """Render several steps at once, each in a world of the renderer, as `render` does.
 
         With ``copies``, the images are valid until the next call with them; otherwise they are new.
         """
@@ -362,7 +362,7 @@ class Stage:
 
 
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
-    """Renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
+    """Return the renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
 
     The page `gpu` of the documentation says how the pictures differ. Views without perspective are always rendered on
     the CPU.

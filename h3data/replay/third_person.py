@@ -70,7 +70,7 @@ FRAMING = FramingSpec()
 
 
 def third_person(replay: Replay, leader: int | None = None, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """Camera track that follows an agent from the best free positions around it.
+    """Return a camera track that follows an agent from the best free positions around it.
 
     Positions are optimised for the whole recording at once, by dynamic programming over directions: a long free line of
     sight, the other agent visible, preferably from behind, and little turning. The followed agent is visible at every
@@ -142,7 +142,7 @@ class _Scene:
 
 
 def default_leader(replay: Replay) -> int:
-    """Number of the agent that ``third_person`` follows where none is named: the first robot, or else the first agent."""
+    """Return the number of the agent that ``third_person`` follows by default: the first robot, or else the first agent."""
     kinds = [agent.kind for agent in replay.recording.agents]
     return kinds.index("robot") if "robot" in kinds else 0
 

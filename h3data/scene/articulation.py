@@ -66,7 +66,7 @@ class SceneJoints:
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """World matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
+        """Return the world matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
 
         They map points from where the scene has them.
         """
@@ -137,7 +137,7 @@ _NONE = SceneJoints(
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
-    """Names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
+    """Return the names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
     return joints_of(scene).names
 
 

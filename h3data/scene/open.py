@@ -85,7 +85,7 @@ def is_collection(path: str) -> bool:
 
 
 def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
-    """File and scene that ``x.scene_dataset_config.json#scene`` names; (None, None) for other paths."""
+    """Split ``x.scene_dataset_config.json#scene`` into file and scene; return (None, None) for other paths."""
     for reader in scene_readers():
         before, mark, scene = os.fspath(path).rpartition(f"{reader.collection}#")
         if reader.collection and mark:

@@ -370,7 +370,7 @@ def instance_matrix(instance: Instance) -> NDArray[np.float64]:
 
 
 def instance_bounds(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """Axis-aligned box in the world around the bounding box of the instance's mesh, shape [2, 3] [m]."""
+    """Return the axis-aligned box in the world around the bounding box of the instance's mesh, shape [2, 3] [m]."""
     lo, hi = scene.assets[instance.asset].mesh.bounds
     matrix = instance_matrix(instance)
     center = matrix[:3, :3] @ ((lo + hi) / 2) + matrix[:3, 3]

@@ -190,7 +190,9 @@ def scene_files(maker: str) -> SceneReader:
 
 
 def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
-    """The mesh of the object template ``name``, in the frame of the object's logged poses: around its centre of mass [m].
+    """Return the mesh of the object template ``name`` [m], in the frame of the object's logged poses.
+
+    The origin of that frame is the centre of mass.
 
     Args:
         name: The template's name.

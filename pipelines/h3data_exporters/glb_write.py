@@ -110,7 +110,7 @@ def _one_primitive_each(meshes: list[dict[str, Any]]) -> tuple[list[dict[str, An
 def mesh_lists(
     chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
 ) -> dict[str, Any]:
-    """Members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
+    """Return the members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
 
     Args:
         chunk: the chunk of the file.

@@ -65,7 +65,7 @@ def local_poses(world: Array, parents: Sequence[int]) -> Array:
 
 
 def trs(pose: Array, scale: Array | None = None) -> Node:
-    """Translation and rotation of a node, and its scale if it is not 1."""
+    """Return the translation and rotation of a node, and its scale if it is not 1."""
     node = placement(pose, np.ones(3) if scale is None else scale)
     # a scale of 1 is the default, which files leave out
     if scale is None or (scale == 1).all():

@@ -45,7 +45,7 @@ class Transitions:
 
 
 def transitions_of(recording: Recording, *, agent: str | None = None) -> Transitions:
-    """Transitions of the agent of that name; by default of the first robot that acts, else of the first agent that does.
+    """Return the transitions of a named agent; by default of the first robot that acts, else of the first agent that does.
 
     Raises:
         InputError: nobody acts, nobody has that name, there are fewer than two steps, or an earlier export left out the last.

@@ -30,7 +30,7 @@ class GpuError(H3DataError):
 
 
 def gpu_problem() -> str | None:
-    """Reason why no GPU can be used, as a sentence; None if one can."""
+    """Return the reason why no GPU can be used, as a sentence; None if one can."""
     import torch
 
     if not torch.cuda.is_available():
@@ -113,7 +113,7 @@ class Program:
 
 
 def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -> bytes:
-    """Machine code of CUDA C (PTX for devices newer than NVRTC), from the cache if possible.
+    """Compile CUDA C to machine code (PTX for devices newer than NVRTC), or read it from the cache.
 
     Raises:
         GpuError: the source does not compile.

@@ -107,7 +107,7 @@ def _whole(scene: RenderScene) -> GpuScene:
 
 
 def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict[str, Any]:
-    """``results``, copied into the tensors of ``out`` where there are any."""
+    """Copy ``results`` into the tensors of ``out`` where there are any."""
     copies = dict(results)
     for name, target in (out or {}).items():
         if name not in copies:

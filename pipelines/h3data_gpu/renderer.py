@@ -409,7 +409,7 @@ class GpuRenderer:
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
-        """``step`` captured as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
+        """Capture ``step`` as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
 
         ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors that
         are on the device already. Each call overwrites the tensors that it returns. Worthwhile for few worlds, where

@@ -14,7 +14,7 @@ MAX_AGENTS = 256
 
 
 def check_size(steps: int, things: int, path: Path, *, values: int = 7) -> None:
-    """`FormatError` if so many things with so many values each over so many steps would not fit into memory."""
+    """Raise a `FormatError` if so many things with so many values each over so many steps would not fit into memory."""
     if steps > MAX_STEPS or steps * things * values > MAX_TRACK_VALUES:
         raise FormatError(
             f"A log of {steps} steps with {things} bodies is more than can be read: {path}", code="H3-FORMAT-018"

@@ -68,7 +68,7 @@ class ObjectModel:
         return self.asset.mesh.bounds.astype(np.float64) * self.scale
 
     def facts(self) -> dict[str, object]:
-        """Mass and grasp as JSON types."""
+        """Return the mass and grasp as JSON types."""
         return {
             "mass_kg": self.mass_kg,
             "mass_from": self.mass_from,

@@ -50,7 +50,7 @@ def _files_named(root: Path, name: str) -> tuple[Path, ...]:
 
 @functools.lru_cache(maxsize=16)
 def folders_of(assets: tuple[str, ...]) -> AssetFolders:
-    """Asset folders, walked once; () stands for those of H3DATA_ASSETS."""
+    """Return asset folders, each walked once; () stands for those of H3DATA_ASSETS."""
     return AssetFolders(assets)
 
 

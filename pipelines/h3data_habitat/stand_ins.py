@@ -71,7 +71,7 @@ LONGEST_NAME = 32
 
 
 def with_stand_ins(recording: Recording, library: AssetLibrary) -> tuple[Recording, dict[str, int]]:
-    """The recording with built-in bodies for agents of which no asset is found, and how many of their bodies name each file.
+    """Return the recording with built-in bodies for agents without assets, and the number of their bodies by file name.
 
     What was recorded of them stays: robots keep their base and the joints of links that a built-in robot has too, people the
     posture of their bones. Of people of whom only the root was recorded a walk is made from their path, as of imported HITL
@@ -153,7 +153,7 @@ def _robot(recording: Recording, index: int, bodies: Sequence[Body], uris: Seque
 
 
 def joints_of_links(robot: Robot, links: Mapping[int, Array], steps: int) -> Array:
-    """Joint positions [T, J] at which links are posed to each other as ``links`` (pose7 in the world [T, 7] by link) say.
+    """Return the joint positions [T, J] of links with poses ``links`` (pose7 in the world [T, 7] by link).
 
     Joints with a link on only one side, and all where a link is absent (NaN), have their resting position.
     """

@@ -64,7 +64,7 @@ class _Place:
 
 
 def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
-    """Scene with a door in each of its doorways, all of them open.
+    """Return the scene with a door in each of its doorways, all of them open.
 
     Doors swing if the open door is within ``swing_m`` of a wall and nothing is in its sweep; the others slide. Doorways
     that are wide, and those next to walls that are too short to slide into, stay as they are.

@@ -76,7 +76,7 @@ class Layout:
     """True if openings may be as wide as a room, so that furniture may stand near them."""
 
     def room(self, name: str) -> RoomPlan:
-        """Room with a given name."""
+        """Return the room with a given name."""
         return next(r for r in self.rooms if r.name == name)
 
 
@@ -363,7 +363,7 @@ def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
-    """Rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
+    """Plan rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
 
     Raises:
         SceneError: no acceptable plan was found.

@@ -257,7 +257,7 @@ def _check_whole(name: str, value: object, low: int, high: int) -> None:
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
-    """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
+    """Return the random generator of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
     A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`, ``density``,
     ``style``, ``articulated`` and ``doors`` are not part of the key: they leave rooms and furniture unchanged.

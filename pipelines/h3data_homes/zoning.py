@@ -51,7 +51,7 @@ def rounded(rect: Rect) -> Rect:
 
 
 def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
-    """(axis along which it runs, line, low, high) of the wall between two rooms, or None."""
+    """Return (axis along which it runs, line, low, high) of the wall between two rooms, or None."""
     for axis in (0, 1):
         across = 1 - axis
         for first, second in ((a, b), (b, a)):
@@ -96,7 +96,7 @@ _MUST_TOUCH = {
 
 
 def size_penalty(tiles: Sequence[Tile], limits: Limits, roomy: float = 1.0) -> float:
-    """Penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
+    """Return the penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
     total = 0.0
     for kind, rect in tiles:
         side, least, most, aspect = limits[kind]

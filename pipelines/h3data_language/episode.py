@@ -461,7 +461,7 @@ def errands_of(
 
 
 def steps_alone(task: LanguageTask, spec: LanguageSpec) -> float:
-    """About how many steps a person alone takes for a task's errands, one after the other."""
+    """Estimate the steps that a person alone takes for a task's errands, one after the other."""
     here, length = task.starts.human_xz, 0.0
     errands = msgspec.convert(task.extra["errands"], list[Errand])
     for errand in errands:

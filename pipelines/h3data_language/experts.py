@@ -87,7 +87,7 @@ class Plan:
         return found
 
     def open(self, view: RearrangeView, agent: int) -> list[int]:
-        """Errands that an agent can begin now."""
+        """Return the errands that an agent can begin now."""
         done, others = self.done(view), {self.errands[n].thing for a, n in self.doing.items() if a != agent}
         return [
             n

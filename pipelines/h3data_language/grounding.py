@@ -176,7 +176,7 @@ def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposi
 
 
 def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> dict[str, object]:
-    """Propositions, dependencies and constraints of a template whose slots mean these names, in PARTNR's JSON."""
+    """Return the propositions, dependencies and constraints of a template whose slots mean these names, in PARTNR's JSON."""
     found = [(k, p) for k, c in enumerate(template.clauses) if (p := proposition_of(c, slots)) is not None]
     count, numbers = len(found), [k for k, _ in found]
     constraints: list[dict[str, object]] = []

@@ -101,7 +101,7 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
 
 
 def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
-    """States of things at the start of an episode, by our names; false where the file does not say.
+    """Return the states of things at the start of an episode, by our names; false if the file gives none.
 
     Raises:
         FormatError: they are malformed.
@@ -117,7 +117,10 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
 
 
 def kind_of(propositions: Sequence[Proposition], extra: Mapping[str, Any]) -> Kind:
-    """Type of a task as in PARTNR, where several fit: what only people can do, an order, neighborhood, in this sequence."""
+    """Return the type of a task as in PARTNR.
+
+    If several fit, the order is: what only people can do, an order of steps, neighborhood.
+    """
     names = {p.function_name for p in propositions}
     if names & set(STATE_OF):
         return "heterogeneous"
@@ -325,7 +328,7 @@ class PartnrPlan:
 def plan_episode(
     record: StoredLanguage, scene: Scene, free: FreeSpace, spec: LanguageSpec, robot: Robot, human: Humanoid
 ) -> tuple[tuple[Target, ...], dict[str, Any]]:
-    """Goals for the things of an episode of PARTNR's files in its scene, and `Episode.extra`.
+    """Place the goals for the things of an episode of PARTNR's files in its scene; also return `Episode.extra`.
 
     Raises:
         InputError: its propositions name what is not in the scene, or contradict each other.

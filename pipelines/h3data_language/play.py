@@ -63,7 +63,7 @@ class LanguageDriver(SkillDriver):
         return super().follow(message)
 
     def use(self, message: Use) -> str:
-        """Cleans, fills, pours out or switches a thing."""
+        """Clean, fill, pour out or switch a thing."""
         if message.o >= len(self.objects.names):
             raise InputError(f"There is no object {message.o} in this task.", code="H3-LANGUAGE-036")
         play, k = self.session.play, message.o
@@ -116,12 +116,12 @@ class LanguageApp(RearrangeApp):
     """True if players are told how many propositions have been satisfied."""
 
     def driver(self, number: int) -> Driver:
-        """Driver of a person or a robot of a task in words."""
+        """Return the driver of a person or a robot of a task in words."""
         is_person = isinstance(self.session.play.team.actors[number], DrivenPerson)  # type: ignore[attr-defined]
         return (LanguagePerson if is_person else LanguageRobot)(self.session, number)
 
     def hud(self, number: int) -> Hud:
-        """Instruction, time left, what has been done to things, and progress where it is shown."""
+        """Return the instruction, the time left, the states of things, and the progress if the task shows it."""
         memory, extra = self.session.play.memory, self.session.episode.extra
         uses, lines = [], list[str]()
         for k, (state, value) in enumerate(extra["uses"]):

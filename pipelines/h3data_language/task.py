@@ -88,7 +88,7 @@ class LanguageCodec(RearrangeCodec):
         return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
-        """Episode of a record in an opened scene, where PARTNR's gets places for its things.
+        """Return the episode of a record in an opened scene, where the things of PARTNR's episodes get places.
 
         Raises:
             InputError, SceneError: PARTNR's episode asks for what is not in the scene, or cannot be done in it.
@@ -105,7 +105,7 @@ class LanguageCodec(RearrangeCodec):
         return replace(super().episode(record, place), extra=record.extra)
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
-        """Episode of a recording, from the rules, starts, goals and propositions in its info.
+        """Return the episode of a recording, from the rules, starts, goals and propositions in its info.
 
         Raises:
             InputError: the recording lacks one of them, or it is malformed.
@@ -120,13 +120,13 @@ class LanguageCodec(RearrangeCodec):
         return replace(episode, extra=extra)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
+        """Return the info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
         extra = dict(episode.extra)
         stored = {name: extra.pop(name) for name in _STORED}
         return {**super().info(episode, policies), **stored, "extra": extra}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from that of rearrangement, from starts and goals, and from propositions, layout and states."""
+        """Return an identifier derived from that of rearrangement, starts, goals, propositions, layout and states."""
         assert isinstance(episode, RearrangeEpisode)
         what = msgspec.json.encode([episode.wording, [goal_record(t) for t in episode.targets], plain(episode.extra)])
         return uid_of(f"{super().uid(episode, policies)}:{what.decode()}")
@@ -166,11 +166,11 @@ class LanguageControl(SkillControl):
     """Control by skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
 
     def team(self, play: Any) -> Household:
-        """Agents who choose where things go."""
+        """Return agents who choose where things go."""
         return LanguageHousehold(play)
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        """Return the reason why a choice is infeasible now, as a sentence; None if it is feasible."""
         if isinstance(choice, Action) and isinstance(choice.command, Destination):
             why = play.team.spot_for(choice.target, choice.command)
             return sentence(why) if isinstance(why, str) else None
@@ -180,7 +180,7 @@ class LanguageControl(SkillControl):
 
 
 def why_not(play: Any, number: int, thing: int) -> str | None:
-    """Reason why an agent cannot handle a thing now, as a sentence; None if it can."""
+    """Return the reason why an agent cannot handle a thing now, as a sentence; None if it can."""
     state = play.world.state
     if play.episode.roster[number].kind != "human":
         return "It has no hand for water and switches."
@@ -261,7 +261,7 @@ def _later_goals(extra: Mapping[str, Any], thing: str) -> list[tuple[NDArray[np.
 
 
 def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Action:
-    """The choice by which a thing goes to another place: it takes no time, and ``nav_to_goal`` and ``place`` then go there.
+    """Return the choice of another place for a thing; it takes no time. ``nav_to_goal`` and ``place`` then go there.
 
     Args:
         things: Names of the things of the task, as `Objects.names` has them.
@@ -308,7 +308,7 @@ class Language(Rearrange):
         return task.starts, {"targets": task.targets, "wording": task.instruction, "extra": task.extra}
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Maker of an expert, or of a policy that stands still; None for other names."""
+        """Return the maker of an expert, or of a policy that stands still; None for other names."""
         del spec
         if name not in EXPERTS:
             return None

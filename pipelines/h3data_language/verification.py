@@ -135,7 +135,7 @@ class Verification(NamedTuple):
 
 
 def tasks_in(scenes: str, *, episodes: int, seed: int) -> list[TaskHome]:
-    """Tasks as ``h3data generate language`` samples them, by home.
+    """Return the tasks that ``h3data generate language`` samples, by home.
 
     Raises:
         InputError: there are no such scenes.
@@ -279,7 +279,7 @@ def _tasks_of(
 
 
 def digest_of(tasks: Sequence[VerifiedTask]) -> str:
-    """SHA-256 of the identities of some tasks in the order of their numbers."""
+    """Return the SHA-256 of the identities of some tasks in the order of their numbers."""
     return hashlib.sha256("\n".join(t.uid for t in sorted(tasks)).encode()).hexdigest()
 
 

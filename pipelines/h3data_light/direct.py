@@ -27,7 +27,7 @@ GROUND = (0.9, 0.85, 0.75)
 
 @kernel_part()
 def sky_radiance(up):
-    """Radiance from outdoors in a direction with this y."""
+    """Return the radiance from outdoors in a direction with this y."""
     if up < 0:
         w = min(-up * 4.0, 1.0)
         return (
@@ -44,7 +44,7 @@ def sky_radiance(up):
 
 @kernel_part()
 def direct_light(distance, x, y, z, nx, ny, nz, emitters, low_bits, high_bits, side):
-    """Irradiance (r, g, b) of a surface point.
+    """Return the irradiance (r, g, b) of a surface point.
 
     The bits are those of the emitters that can matter here; ``side`` is the largest number of rays along each side of a
     window. There is one call of `march` for all kinds of light, because each takes a second to compile.

@@ -18,7 +18,7 @@ _TINT = 0.55
 
 
 def shown_light(irradiance: NDArray[np.floating], mean: float) -> NDArray[np.floating]:
-    """Appearance of irradiance [N, 3] in a home with this ``mean``: light on a white surface, linear RGB [N, 3]."""
+    """Scale irradiance [N, 3] in a home with this ``mean`` to light on a white surface in a picture, linear RGB [N, 3]."""
     amount = irradiance.mean(1, keepdims=True)
     tint = 1 + _TINT * (irradiance / np.maximum(amount, 1e-9) - 1)
     curve = DARKEST + (1 - DARKEST) * (amount / mean) ** _EXPONENT
@@ -28,7 +28,7 @@ def shown_light(irradiance: NDArray[np.floating], mean: float) -> NDArray[np.flo
 
 
 def flat_light(light: Light, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Irradiance by the flat light on surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
+    """Return the flat light on surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     sun, fill = (normals @ normalized(np.array(d)) for d in (light.sun_direction, light.fill_direction))
     out = (sky + ground) / 2 + (sky - ground) / 2 * normals[:, 1:2]

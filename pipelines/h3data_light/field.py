@@ -67,7 +67,7 @@ class LightField:
     """Mean of the flat light over all directions, linear RGB, shape [3]."""
 
     def cubes(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
+        """Return the irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
         return self._interpolated(np.asarray(points, np.float64))[0]
 
     def at(self, points: NDArray[np.floating]) -> LightAt:

@@ -39,7 +39,7 @@ class Probes(NamedTuple):
 
 
 def ray_directions(rays: int) -> NDArray[np.float32]:
-    """Spherical Fibonacci directions in several rotations about y, shape [8, rays, 3]."""
+    """Return spherical Fibonacci directions in several rotations about y, shape [8, rays, 3]."""
     k = np.arange(rays) + 0.5
     y = 1 - 2 * k / rays
     angle = k * np.pi * (3 - np.sqrt(5)) + np.arange(_ROTATIONS)[:, None] * (2 * np.pi * 0.61803399 * 1.37)
@@ -199,7 +199,7 @@ def _face(ax, ay, az, dx, dy, dz):
 
 @kernel(error_model="numpy", boundscheck=False)
 def blur(distance, place, usable, light, out, axis):
-    """Averages probes with those before and after them along an axis that they see, weights 1 2 1."""
+    """Average probes with their visible neighbours along an axis, with weights 1 2 1."""
     shape = usable.shape
     ax, ay, az = int(axis == 0), int(axis == 1), int(axis == 2)
     for x in range(shape[0]):

@@ -40,7 +40,7 @@ class Voxels(NamedTuple):
 def voxelise(
     triangles: NDArray[np.float64], colors: NDArray[np.float32], glass: NDArray[np.bool_], lamps: NDArray[np.float64]
 ) -> Voxels:
-    """Voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
+    """Return the voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
 
     Hollows inside furniture are filled, but none with one of the ``lamps`` [L, 3] in it.
     """

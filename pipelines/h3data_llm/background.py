@@ -103,7 +103,7 @@ class BackgroundModel:
             self._ended = SkillResult(own[0].outcome, own[0].reason)
 
     def recorded_info(self) -> dict[str, Any]:
-        """Recorded facts of the policy, with the faults of the endpoint."""
+        """Return the recorded facts of the policy, with the faults of the endpoint."""
         (found,) = self._policy.recorded_info()["llm"]
         return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
 

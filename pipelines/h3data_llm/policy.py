@@ -167,7 +167,7 @@ class LanguageModelPolicy:
             return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to stop: a message while waiting, a thing found in a search, or one that somebody else has taken."""
+        """Return the reason to stop: a message while waiting, a thing found in a search, or one that somebody else took."""
         action, reason = view.action, self._worker.reason
         if reason == "message" and self._worker.heard(view) > self._heard:
             return "message"
@@ -213,7 +213,7 @@ class LanguageModelPolicy:
         self._past.append([said, heard])
 
     def request(self, view: RearrangeView) -> bytes:
-        """Body of the request for the next decision."""
+        """Return the body of the request for the next decision."""
         handled = sorted(self._worker.handled)
         now = self._text.state(view, [f"You have handled: {', '.join(handled)}."] if handled else [])
         left = f"You may choose {self.where.plans - self._plans} more times."

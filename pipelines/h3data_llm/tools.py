@@ -128,7 +128,7 @@ def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> t
 
 
 def schemas_of(tools: Sequence[Tool], names: Names) -> list[dict[str, Any]]:
-    """Tools in the form in which chats take them; names of furniture are left to the text about the home."""
+    """Return the tools in the form in which chats take them; names of furniture are left to the text about the home."""
     return [
         {
             "type": "function",
@@ -154,7 +154,7 @@ def _schema(parameter: Parameter, names: Names) -> dict[str, Any]:
 
 
 def lines_of(tools: Sequence[Tool]) -> str:
-    """Tools as text, for models without tool calls."""
+    """Return the tools as text, for models without tool calls."""
     lines = []
     for tool in tools:
         shown = ", ".join(f"{p.name}{'?' if p.optional else ''}" for p in tool.parameters)

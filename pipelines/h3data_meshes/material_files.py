@@ -54,7 +54,7 @@ def _plain(key: bytes, rest: str) -> bytes:
 
 
 def material_uv(material: Any, uv: Array) -> Array:
-    """Texture coordinates [V, 2] in the image that a material of trimesh repeats and moves."""
+    """Return texture coordinates [V, 2] in the image that a material of trimesh repeats and moves."""
     numbers = getattr(material, "kwargs", {}).get(_UV_KEY)
     if numbers is None:
         return uv

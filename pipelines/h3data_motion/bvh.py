@@ -49,14 +49,14 @@ class Bvh:
     """Seconds per frame."""
 
     def rest_places(self) -> Array:
-        """Joint places without any rotation, shape [J, 3]; the root at its offset."""
+        """Return joint places without any rotation, shape [J, 3]; the root at its offset."""
         places = np.zeros((len(self.joints), 3))
         for k, joint in enumerate(self.joints):
             places[k] = np.array(joint.offset) + (places[joint.parent] if joint.parent >= 0 else 0)
         return places
 
     def forward_kinematics(self) -> tuple[Array, Array]:
-        """World rotations xyzw [T, J, 4] and places [T, J, 3] of all joints, in the axes and units of the file.
+        """Return the world rotations xyzw [T, J, 4] and places [T, J, 3] of all joints, in the axes and units of the file.
 
         A position channel stands for that part of the joint's offset, as exporters of today write it.
         """

@@ -187,7 +187,7 @@ def _shortest_turn(a: Array, b: Array) -> Array:
 
 
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
-    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
+    """Return frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of both legs, in the frame of ``pelvis`` [T, 3].
 
     As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
     """

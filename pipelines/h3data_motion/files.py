@@ -53,7 +53,7 @@ class MotionReader:
 
 
 def motion_kind(path: str | Path) -> str:
-    """Format of a motion file, detected by its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
+    """Return the format of a motion file, from its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
 
     Raises:
         FormatError: it holds no motion that is read; the message says what it looks like.
@@ -201,6 +201,6 @@ def _readers(path: tuple[str, ...]) -> dict[str, MotionReader]:
 
 
 def motion_suffixes() -> tuple[str, ...]:
-    """Endings of the motion files that can be read."""
+    """Return the endings of the motion files that can be read."""
     readers = _readers(tuple(sys.path)).values()
     return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))

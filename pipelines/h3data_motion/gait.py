@@ -95,7 +95,7 @@ class MotionGaits(Gaits):
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
-        """Posture at phases of a cycle, as captured where the body moves like that."""
+        """Return the posture at phases of a cycle, from the motion data where the body moves like that."""
         if not self.plays(speed_mps):
             return Gaits.posture(self, speed_mps, phase)
         return cycle_posture(self.cycle, self.legs, self.stride_m(speed_mps), np.asarray(phase, np.float64))

@@ -53,7 +53,7 @@ def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
 
 
 def foot_report(motion: Motion, body: Humanoid) -> FootReport:
-    """Measures how much the feet of a fitted motion slide and sink."""
+    """Measure how much the feet of a fitted motion slide and sink."""
     points = sole_points(body, leg_frames(body, motion.quats, motion.pelvis))
     contacts = find_contacts(points, motion.fps)
     slides = 1000 * contacts.slide_m[1:][contacts.touching[1:]] * motion.fps / 30

@@ -31,7 +31,9 @@ BLEND_S = 0.25
 
 
 def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """``motion_id``, ``motion_phase`` and ``motion_blend`` [T] of a person whose agent root follows ``base_pose`` [T, 7].
+    """Return the walking motion of a person whose agent root follows ``base_pose`` [T, 7].
+
+    The columns are ``motion_id``, ``motion_phase`` and ``motion_blend`` [T].
 
     The path is cut into spans of standing, walking and turning on the spot. Each span plays one clip: the one of its
     typical speed, by distance (backwards if they walk backwards), or the one of the side, by angle.

@@ -140,7 +140,7 @@ def _close_stdout() -> None:
 
 
 def entry() -> None:
-    """Console entry point."""
+    """Run the command line and exit: the console entry point."""
     for number in (signal.SIGTERM, signal.SIGHUP):  # ended from outside, or the terminal closed: as after Ctrl-C
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks to go on
             signal.signal(number, signal.default_int_handler)

@@ -71,7 +71,7 @@ class Part:
         self._cut_scene = _embree_scene(self._vertices, self._faces[self._whole :])
 
     def cast(self, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
-        """Embree's result for rays [N, 3] up to ``limits`` [N]; rays pass through holes."""
+        """Return Embree's result for rays [N, 3] up to ``limits`` [N]; rays pass through holes."""
         hits = _run(self._scene, origins, directions, limits)
         if self._whole == len(self._faces):
             return hits
@@ -176,7 +176,7 @@ class RayCaster:
         return ~(blocked & (distance > 0))
 
     def normals(self, hits: Hits, toward: ArrayLike) -> NDArray[np.float32]:
-        """Unit world normals [..., 3] at hits; 0 for misses.
+        """Return unit world normals [..., 3] at hits; 0 for misses.
 
         They are smooth if the mesh has vertex normals, and are on the side of the surface that faces the direction
         ``toward`` [..., 3].

@@ -184,7 +184,7 @@ def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
 
 
 def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries ``group.name`` as maps within a map."""
+    """Group entries ``group.name`` as dictionaries within a dictionary."""
     found: dict[str, Any] = {}
     for key, value in entries.items():
         group, dot, name = key.partition(".")

@@ -93,7 +93,7 @@ class BackgroundPolicy:
         """Take note of nothing: commands of servers are no skills that end."""
 
     def recorded_info(self) -> dict[str, Any]:
-        """Recorded info of the policy, with the number of late answers."""
+        """Return the recorded info of the policy, with the number of late answers."""
         (found,) = self._policy.recorded_info()["remote"]
         return {"remote": [{**found, "late_steps": self.late, "faults": self.faults}]}
 

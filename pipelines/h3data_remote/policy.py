@@ -194,7 +194,7 @@ class RemotePolicy:
         return nested(entries) if self._batched else entries
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
-        """Actions [hold, width] that the server answers with.
+        """Return the actions [hold, width] that the server answers with.
 
         Raises:
             PolicyServerError: there are none in time, or of another kind.

@@ -19,7 +19,7 @@ FREE = ("minutes", "updates")
 
 
 def state_of(learner: Learner) -> dict[str, Any]:
-    """Weights, optimizer, random numbers and all worlds. Every process has to call it."""
+    """Return weights, optimizer, random numbers and all worlds. Every process has to call it."""
     m, everyone = learner.memory, learner.ranks.gathered
     return {
         "net": learner.net.state_dict(),
@@ -116,7 +116,7 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
 
 
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Settings that had another value ``then`` than they have ``now``, in words; empty: none."""
+    """Return the settings that differ between ``then`` and ``now``, in words; empty: none."""
     return "; ".join(
         f"{name}={then.get(name)!r}, not {value!r}" for name, value in now.items() if then.get(name) != value
     )

@@ -64,7 +64,7 @@ class Worlds(Protocol):
         ...
 
     def taught(self) -> Tensor:
-        """Actions of a teacher in these states, [W, A]."""
+        """Return the actions of a teacher in these states, [W, A]."""
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:

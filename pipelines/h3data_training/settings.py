@@ -202,7 +202,7 @@ class Settings:
         return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as they stand in checkpoints and cards."""
+        """Return the settings as plain values, as in checkpoints and cards."""
         return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
 
 

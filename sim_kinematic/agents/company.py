@@ -28,11 +28,11 @@ class Company(Protocol):
         ...
 
     def discs_of(self, number: int) -> Array:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent."""
         ...
 
     def discs_beside(self, number: int) -> Array:
-        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of all agents but one."""
         ...
 
     def frames(self) -> list[Array]:

@@ -176,14 +176,14 @@ class GivingWay:
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; for a robot, those with an empty hand."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; a robot's without what it holds."""
         actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
         if isinstance(actor, RobotActor):
             offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def discs_beside(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now."""
+        """Return the present discs ``(x, z, radius)`` [N, 3] of all agents but one."""
         discs = [self.discs_of(other.number) for other in self.actors if other.number != number]
         return np.concatenate([np.zeros((0, 3)), *discs])
 
@@ -204,7 +204,7 @@ class GivingWay:
         ]
 
     def end_step(self) -> None:
-        """Notes where all agents are after a step, and which of them touch."""
+        """Store the places of all agents after a step, and which of them touch."""
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1

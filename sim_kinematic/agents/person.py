@@ -225,7 +225,7 @@ class Person:
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
-        """Sets the joints of the body; objects in the hands follow.
+        """Set the joints of the body; objects in the hands follow.
 
         Args:
             quats: local rotations [55, 4], that of the pelvis in the agent root frame, as `Humanoid.clip_pose` returns them.
@@ -308,7 +308,7 @@ class Person:
         return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
-        """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
+        """Step until both feet stand where they belong; do nothing if they do, or if the root was moved by others."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
         for _ in range(SETTLE_STEPS):
@@ -410,7 +410,7 @@ class Person:
         return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
-        """Skill that grasps a handle, leads it along a path, and takes the hand back.
+        """Grasp a handle, lead it along a path, and take the hand back.
 
         Args:
             points: world points of the path [T, 3], the first at the handle; the hand follows them as far as the arm reaches.
@@ -447,11 +447,11 @@ class Person:
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
-        """A world position [3] in the agent root frame."""
+        """Transform a world position [3] into the agent root frame."""
         return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """Poses of the body while a hand moves to a world position [3], in the agent root frame.
+        """Return poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
         """
@@ -516,7 +516,7 @@ class Person:
         self.transition = Transition("walk")
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """Makes one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
+        """Make one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
 
         Hands that hold something keep carrying it.
         """
@@ -536,7 +536,7 @@ class Person:
         self.transition = Transition()
 
     def show(self, kind: str, quats: Array, pelvis: Array) -> None:
-        """Takes a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
+        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
 
         The feet stay where walking has put them.
         """
@@ -599,7 +599,7 @@ class Person:
                 return
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
-        """Returns a pose [55, 4] with the arms folded in by one step where there is little room.
+        """Return a pose [55, 4] with the arms folded in by one step where there is little room.
 
         An arm that holds something and is not ``moving`` keeps carrying it, close to the body where there is little
         room.
@@ -683,7 +683,7 @@ def _unreached(answer: ReachResult) -> MotionResult:
 
 
 def joint_steps(quats: Array) -> Array:
-    """Returns how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
+    """Return how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
     # the absolute value, because q and -q are the same rotation
     return 2 * np.arccos(np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1.0))
 

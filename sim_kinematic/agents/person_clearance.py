@@ -62,7 +62,7 @@ class BodyClearance:
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
-        """Returns whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        """Return whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:
@@ -117,5 +117,5 @@ def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
 
 @lru_cache(maxsize=8)
 def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> BodyClearance:
-    """Clearance of a body in a scene, cached for each scene and body."""
+    """Return the clearance of a body in a scene, cached for each scene and body."""
     return BodyClearance(scene, body, floor_y)

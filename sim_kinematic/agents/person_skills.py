@@ -99,7 +99,7 @@ class PersonActor:
         """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     def meets(self) -> bool:
-        """Returns whether the person touches somebody now: then they stay where they were."""
+        """Return whether the person touches somebody now, so that both stay where they were."""
         return self.company is not None and self.company.meets(self)
 
     @property
@@ -148,7 +148,7 @@ class PersonActor:
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         why = self.objects.why_not(self.number, action)
@@ -242,7 +242,7 @@ class PersonActor:
         return (yield from self._go_to(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
-        """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
         free = free or self.free
         # the floor is a part of the key, as a door that opens replaces it (`walk_on`)
         known = free, hand, island_of(free, self.xz), point.tobytes()
@@ -251,7 +251,7 @@ class PersonActor:
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Stands for either hand on the floor ``free``."""
+        """Return stands for either hand on the floor ``free``."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:

@@ -39,7 +39,7 @@ class AgentSpec:
 
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
-    """The map on which all agents of an episode can get everywhere: without its stairs if one of them cannot climb those."""
+    """Return the map on which all agents of an episode can move: without its stairs if one of them cannot climb."""
     return free if all(member.body.climbs_stairs for member in roster) else free.without_stairs
 
 
@@ -149,7 +149,7 @@ def sample_places(
     rules: BaseSpec,
     taken: Mapping[int, Array] | None = None,
 ) -> Array:
-    """Samples where each agent starts, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
+    """Sample starts of agents, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
 
     A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of furniture.
     ``taken`` are places that are already given, by number.

@@ -13,7 +13,7 @@ from sim_kinematic.motion.state import HumanState
 
 
 def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
-    """Skill that sits down from where the person stands before a seat, sits for some time, gets up and steps away."""
+    """Sit down from the place in front of a seat, sit for some time, get up and step away."""
     floor = person.walk.tables
     # feet that keep out of furniture would be pushed away from the seat that they stand close to
     person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)

@@ -214,7 +214,7 @@ class Objects:
     """Memories of what each agent has seen, `sim_kinematic.sensing.sight.Sight`; None if all know everything."""
 
     def destination(self, agent: int, action: Action) -> NDArray[np.float64]:
-        """World point [3] to which an agent goes by ``nav_to_object``, ``nav_to_goal`` or `SEARCH`, as far as it knows."""
+        """Return the world point [3] to which ``nav_to_object``, ``nav_to_goal`` or `SEARCH` leads, as the agent knows it."""
         k = action.target
         if action.skill == SEARCH:
             return self.sight.points[k]

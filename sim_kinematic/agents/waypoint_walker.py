@@ -122,7 +122,7 @@ class WaypointHuman:
 def walking_path(
     free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
 ) -> NDArray[np.float64]:
-    """Waypoints [K, 2] of a person from ``start`` to ``goal``.
+    """Return waypoints [K, 2] of a person from ``start`` to ``goal``.
 
     They are those of the shortest path with sharp corners, each moved ``spec.clearance_m`` away from walls and
     furniture as far as there is room. K = 0: there is no path.

@@ -226,7 +226,7 @@ class WorldStepper:
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways.
+        """Return the space of base velocities, -1..1 of the limits: [2], or [3] for a robot that can move sideways.
 
         For agents with skills it is the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
         """
@@ -443,7 +443,7 @@ class WorldStepper:
         }
 
     def episode_info(self) -> Info:
-        """Scene and seed of the episode in each world, [W] each."""
+        """Return the scene and seed of the episode in each world, [W] each."""
         self._require_begun()
         return {
             "scene": np.array([e.scene.name for e in self._episodes], object),
@@ -451,12 +451,12 @@ class WorldStepper:
         }
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
+        """Render one world for people who watch, uint8 [480, 640, 3]."""
         self._require_begun()
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
-        """Task, scenes, agents and number of worlds in a few words."""
+        """Return the task, scenes, agents and number of worlds in a few words."""
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}

@@ -69,7 +69,7 @@ class RobotState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
-        """People at the origin."""
+        """Return robots at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)),
             heading=np.zeros(worlds),
@@ -156,7 +156,7 @@ class WorldState(_Arrays):
         objects: int = 0,
         scene_joints: int = 0,
     ) -> WorldState:
-        """State of W worlds with everything at the origin and nothing held.
+        """Return the state of W worlds with everything at the origin and nothing held.
 
         Args:
             worlds: number of worlds W.
@@ -203,7 +203,7 @@ class WorldState(_Arrays):
         return self.take(np.arange(self.worlds))
 
     def take(self, worlds: Worlds) -> WorldState:
-        """State of some of the worlds."""
+        """Return the state of some of the worlds."""
         return WorldState(
             robots=tuple(robot.take(worlds) for robot in self.robots),
             people=tuple(person.take(worlds) for person in self.people),

@@ -302,7 +302,7 @@ class RecordedPolicy:
 
 
 def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict[tuple[int, int], list[Any]]:
-    """Other goals that an agent gave to objects, and its messages, by the step and the index of the object or -1."""
+    """Return the goals that an agent assigned to objects, and its messages, by step and index of the object (-1: message)."""
     told: dict[tuple[int, int], list[Any]] = {}
     for event in recording.events:
         if event.agent == number and event.kind == "aim" and event.target in objects:

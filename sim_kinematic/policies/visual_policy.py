@@ -301,7 +301,7 @@ def _windows(x: Array, stride: int) -> tuple[Array, tuple[int, int]]:
 
 @kernel()
 def affine(x: Array, columns: Array, bias: Array) -> Array:
-    """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
+    """Compute ``x @ columns + bias`` of [n, in], [in, out], [out], in float32; sums are in the order of the inputs."""
     out = np.empty((len(x), len(bias)), np.float32)
     for row in range(len(x)):
         out[row] = bias

@@ -68,7 +68,7 @@ def _wrapped(xp: Any, angle: Any) -> Any:
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Points ``(x, z)`` [..., 2] as seen from a base at [..., 2] with heading [...]: ``(forward, left)`` [..., 2] [m]."""
+    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at [..., 2] with heading [...]."""
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)

@@ -102,7 +102,7 @@ class Context(Protocol):
         ...
 
     def path(self) -> tuple[Any, Any]:
-        """The shortest path to where the agent is to go: its length [...] [m] and a point near its beginning [..., 2] [m]."""
+        """Return the shortest path to the agent's goal: its length [...] [m] and a point near its beginning [..., 2] [m]."""
         ...
 
     def clearance(self, points: Any) -> Any:
@@ -110,7 +110,10 @@ class Context(Protocol):
         ...
 
     def free_along(self, headings: Any, max_m: float) -> Any:
-        """Distance [..., R] [m], at most ``max_m``, from the agent along headings [..., R] [rad] to the nearest obstacle."""
+        """Return the distance [..., R] [m] from the agent along headings [..., R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         ...
 
     def circles(self, *, legs: bool) -> Any:
@@ -192,7 +195,10 @@ class SensorContext(NamedTuple):
         return self.world.clearance(points)
 
     def free_along(self, headings: Array, max_m: float) -> Array:
-        """Distance [W, R] [m], at most ``max_m``, from the agent along headings [W, R] [rad] to the nearest obstacle."""
+        """Return the distance [W, R] [m] from the agent along headings [W, R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         return self.world.free_along(self.now.xz, headings, max_m)
 
     def circles(self, *, legs: bool) -> Array:

@@ -263,7 +263,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         )
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts and `Episode.extra`."""
+        """Return the policies, rules, starts and `Episode.extra`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],

@@ -130,7 +130,7 @@ def _sampled(task: Task, scene: Scene, free: FreeSpace, seed: int, spec: Any, ro
 
 
 def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
-    """Scenes by name, as the command line takes them, and given ones, one after the other.
+    """Return scenes by name, as the command line takes them, and given ones, one after the other.
 
     Raises:
         InputError: There are no such scenes.

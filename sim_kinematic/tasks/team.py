@@ -224,7 +224,7 @@ class MotionTeam(Team):
         }
 
     def snapshot(self) -> list[float]:
-        """Place, motion, command and word of each agent, as plain numbers."""
+        """Return the place, motion, command and word of each agent, as plain numbers."""
         numbers: list[float] = []
         world, skills = self.play.world, self.play.task.control.skills
         # all people at once, and Python floats, which take half the time of NumPy's

@@ -92,18 +92,20 @@ class App:
     """Reason why the episode has ended: by its rules, by a player or by the app; empty while it is running."""
 
     def reset(self, session: Session) -> None:
-        """Begins an episode."""
+        """Begin an episode."""
         self.session = session
 
     def driver(self, number: int) -> Driver:
-        """Returns the driver with which a player moves agent ``number``: one with skills, if the task has them."""
+        """Return the driver with which a player moves agent ``number``: one with skills, if the task has them."""
         if not self.session.task.control.has_skills:
             return Driver(self.session, number)
         is_person = self.session.episode.roster[number].kind == "human"
         return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:
-        """Reason why a message of the player of agent ``number`` is not carried out now, as a sentence; empty if it is.
+        """Return the reason why a message of the player of agent ``number`` is not carried out now; empty if it is.
+
+        The reason is a sentence.
 
         Like everything in an app, it may depend only on messages and the world, so that a game can continue after a
         crash.
@@ -112,48 +114,48 @@ class App:
         return ""
 
     def on_input(self, number: int, message: Act) -> None:
-        """Takes note of a message of the player of agent ``number``, which has been accepted."""
+        """Handle a message of the player of agent ``number``, which has been accepted."""
 
     def step(self, result: StepResult) -> str:
-        """Takes note of a step; a text ends the episode for the reason that it names."""
+        """Handle the end of a step; a text that is returned ends the episode for that reason."""
         del result
         return ""
 
     def hud(self, number: int) -> Hud:
-        """Text for the player of agent ``number``, or for spectators (-1)."""
+        """Return the text for the player of agent ``number``, or for spectators (-1)."""
         del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
 
     def goals(self) -> list[Goal]:
-        """Markers in the home: where things have to go, in tasks that have such goals."""
+        """Return the markers in the home: the goals of things, in tasks that have such goals."""
         targets = getattr(self.session.episode, "targets", ())
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
-        """Messages that are sent by one press. Where there are some, the page has a box for others too."""
+        """Return messages that are sent by one press. If there are any, the page has a box for others too."""
         return []
 
     def spots(self) -> list[Spot]:
-        """Places to which players can bring what they hold, by name."""
+        """Return places to which players can bring what they hold, by name."""
         return []
 
     def spoken(self, text: str) -> str:
-        """Words of a message of another agent, as players read them."""
+        """Return the words of a message of another agent, as players read them."""
         return text
 
     def label(self, name: str) -> str:
-        """The word for an object of the recording."""
+        """Return the word for an object of the recording."""
         return name.rpartition("/")[2].replace("_", " ")
 
     def joint_label(self, name: str) -> str:
-        """Words for a door or drawer ``thing/part``."""
+        """Return the words for a door or drawer ``thing/part``."""
         thing, _, part = name.rpartition("/")
         words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """Text for the player at the end."""
+        """Return the text for the player at the end."""
         ended = self.session.ended or self.ended
         return {
             "success": "Done. Thank you!",
@@ -171,7 +173,7 @@ class App:
 
 
 def sentence_of(words: str) -> str:
-    """An instruction as a sentence."""
+    """Return an instruction as a sentence."""
     return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
 
 
@@ -187,7 +189,7 @@ _APPS: Registry[Any] = Registry("h3data.apps", {}, what="app", check=_require_ap
 
 
 def find_app(name: str) -> type[App]:
-    """The app with a name, or ``module:Class``, where the class may also be that of a task.
+    """Return the app with a name, or ``module:Class``, where the class may also be that of a task.
 
     Raises:
         InputError: there is none.

@@ -26,7 +26,7 @@ def encode(kind: str, key: str, body: Any) -> bytes:
 
 
 async def receive(reader: asyncio.StreamReader) -> Letter:
-    """The next letter.
+    """Return the next letter.
 
     Raises:
         asyncio.IncompleteReadError: the other side is gone.
@@ -47,7 +47,7 @@ class Channel:
         sock.setblocking(True)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Sends a letter; waits where the front is slow.
+        """Send a letter; wait if the front is slow.
 
         Raises:
             Closed: the front is gone.
@@ -58,7 +58,7 @@ class Channel:
             raise Closed from None
 
     def receive(self, wait_s: float) -> list[Letter]:
-        """The letters that have come, after at most ``wait_s`` [s].
+        """Return the letters that have come, after at most ``wait_s`` [s].
 
         Raises:
             Closed: the front is gone.

@@ -70,17 +70,17 @@ class Connection:
         self._news.set()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Queues a text frame."""
+        """Queue a text frame."""
         self._texts.append(json.dumps(message))
         self._news.set()
 
     def end(self) -> None:
-        """Closes after everything has been sent."""
+        """Close the connection after everything has been sent."""
         self._ends = True
         self._news.set()
 
     async def send(self) -> None:
-        """Sends until the socket closes."""
+        """Send until the socket closes."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -104,24 +104,27 @@ class Stuck(Failed):
 
 
 def runner_of(app: web.Application) -> web.AppRunner:
-    """Returns the runner that serves an application, and closes idle connections."""
+    """Return the runner that serves an application, and closes idle connections."""
     return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)
 
 
 def pong(client_ms: float) -> bytes:
-    """Message that answers a client's ping, with the clocks of client and server [ms]."""
+    """Return the message that answers a client's ping, with the clocks of client and server [ms]."""
     return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
 
 
 def require_own_origin(request: web.Request) -> None:
-    """Pages of other sites may not use a player's cookies. Programs that send no Origin have none to misuse."""
+    """Refuse a request that a page of another site makes with a player's cookies.
+
+    Programs that send no Origin have no cookies to misuse.
+    """
     origin = request.headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != request.host:
         raise web.HTTPForbidden(text="This request comes from another site.")
 
 
 def is_known(name: str, names: Iterable[str]) -> bool:
-    """Returns whether a server goes by a name.
+    """Return whether a server has a name.
 
     Args:
         name: Name of a host, without port.
@@ -137,7 +140,7 @@ def is_known(name: str, names: Iterable[str]) -> bool:
 
 
 def require_known_host(names: Iterable[str]) -> Any:
-    """Middleware that refuses requests to host names that are not the server's.
+    """Return a middleware that refuses requests to host names that are not the server's.
 
     A page of another site whose name resolves to this machine would otherwise count as a page of this server, with the
     player's cookies.
@@ -162,7 +165,7 @@ def require_known_host(names: Iterable[str]) -> Any:
 
 @web.middleware
 async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
-    """Middleware that adds security headers to all answers, and drops clients that do not read theirs."""
+    """Add security headers to all answers, and drop clients that do not read theirs: a middleware."""
     found = None if request.transport is None else request.transport.get_extra_info("socket")
     if found is not None and hasattr(socket, "TCP_USER_TIMEOUT"):  # whoever takes nothing of the answer is hung up on
         with contextlib.suppress(OSError):

@@ -74,7 +74,7 @@ class Driver:
 
     # --- from the player ----------------------------------------------------------------------------------------------
     def take(self, message: Act, refusal: str = "") -> str:
-        """Takes one message, which acts on the next step.
+        """Take one message, which acts on the next step.
 
         Returns:
             A sentence for the player if the message cannot be carried out, or the app's ``refusal``.
@@ -88,7 +88,7 @@ class Driver:
         return why
 
     def follow(self, message: Act) -> str:
-        """Takes a message; returns a sentence for the player if it cannot be carried out."""
+        """Follow a message; return a sentence for the player if it cannot be carried out."""
         if isinstance(message, Move):
             # float32, as it is recorded
             self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
@@ -106,7 +106,7 @@ class Driver:
         raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
 
     def release(self) -> None:
-        """The player is gone: keys go up. The world stands still meanwhile, so skills and walks may go on later."""
+        """Release all keys of a player who has left. The world stands still meanwhile, so skills and walks may go on later."""
         self.forward = self.turn = 0.0
 
     def interrupt(self) -> None:
@@ -114,7 +114,7 @@ class Driver:
         self.guide = None
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        """Sets out for a place; returns why not."""
+        """Set out for a place; return the reason if that is impossible."""
         try:
             self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
         except InputError as fault:
@@ -123,11 +123,11 @@ class Driver:
 
     # --- to the world -------------------------------------------------------------------------------------------------
     def command(self) -> Any:
-        """Command for the next step; None to continue the last one."""
+        """Return the command for the next step; None to continue the last one."""
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:
-        """Forward and turn of the next step."""
+        """Return the forward velocity and the turn of the next step."""
         if self.guide is not None:
             velocity = self.guide.velocity(*self.place)
             if velocity is not None:
@@ -136,7 +136,7 @@ class Driver:
         return self.forward, self.turn
 
     def after(self, result: StepResult) -> str:
-        """Takes note of a step; returns a sentence for the player."""
+        """Handle the end of a step; return a sentence for the player."""
         return result.refused.get(self.name, "")
 
     @property
@@ -183,7 +183,7 @@ class SkillDriver(Driver):
         """Messages to other agents that have not been said yet."""
 
     def follow(self, message: Act) -> str:
-        """Carries out a message; pick, place, hand over, open and close become skills."""
+        """Follow a message; pick, place, hand over, open and close become skills."""
         if isinstance(message, Say):
             said = Message(message.text, message.to)
             said.check([member.name for member in self.session.episode.roster])
@@ -212,7 +212,7 @@ class SkillDriver(Driver):
         return super().follow(message)
 
     def do(self, skills: list[Any]) -> str:
-        """Begins a row of skills."""
+        """Begin a sequence of skills."""
         self.interrupt()
         self.queue = skills
         return ""
@@ -230,7 +230,7 @@ class SkillDriver(Driver):
         return self.put_at(point, lead)
 
     def turn_joint(self, message: Open | Close) -> str:
-        """Opens or closes a door or drawer."""
+        """Open or close a door or drawer."""
         names = self.objects.joints
         if message.j >= len(names):
             raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.", code="H3-PLAY-016")
@@ -243,7 +243,7 @@ class SkillDriver(Driver):
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
-        """Reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        """Return the reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
         sight, openables = self.objects.sight, self.session.play.team.openables  # type: ignore[attr-defined]
         if sight is not None and not at_goal and not sight.known[self.number, k]:
             return sentence("not_seen")
@@ -253,13 +253,13 @@ class SkillDriver(Driver):
         return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
 
     def door_before(self, point: Array) -> int:
-        """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
+        """Return the closed door between the agent and the places from which it could reach a world point [3]; -1: none."""
         team = self.session.play.team
         actor = team.actors[self.number]
         return team.door_before(actor, partial(actor.stands_on, point=point))
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        """Walks or drives to a floor point, unless a closed door is in between."""
+        """Walk or drive to a floor point, unless a closed door is in between."""
         team = self.session.play.team
         spot = team.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
@@ -273,22 +273,22 @@ class SkillDriver(Driver):
         return "The robot puts things down at their goals only."
 
     def drop(self) -> Any:
-        """The command that lets go."""
+        """Return the command that releases the object in hand."""
         raise InputError("The robot does not drop things.", code="H3-PLAY-014")
 
     def give(self, agent: int) -> Any:
-        """The command that hands over."""
+        """Return the command that hands the object in hand to another agent."""
         del agent
         raise InputError("The robot does not hand things over.", code="H3-PLAY-015")
 
     def interrupt(self) -> None:
-        """Stops walking, cancels the running skill and drops all that are queued."""
+        """Stop walking, cancel the running skill and drop all that are queued."""
         super().interrupt()
         self.cancelled = self.runs
         self.queue = []
 
     def command(self) -> Any:
-        """Command of the next step; None while a skill is running."""
+        """Return the command of the next step; None while a skill is running."""
         if self.unsaid:
             return self.speak()
         if self.cancelled:
@@ -304,15 +304,15 @@ class SkillDriver(Driver):
         return self.walking(*velocity)
 
     def speak(self) -> Any:
-        """The command that says the next message."""
+        """Return the command that says the next message."""
         return self.unsaid.pop(0).action
 
     def walking(self, forward: float, turn: float) -> Any:
-        """The command of a step between skills."""
+        """Return the command of a step between skills."""
         return Velocity(forward, turn)
 
     def velocity(self) -> tuple[float, float]:
-        """Forward velocity and turn of the next step; a failed walk drops the queued skills."""
+        """Return forward velocity and turn of the next step; a failed walk drops the queued skills."""
         failed = self.guide
         velocity = super().velocity()
         if failed is not None and failed.failed:
@@ -320,7 +320,7 @@ class SkillDriver(Driver):
         return velocity
 
     def after(self, result: StepResult) -> str:
-        """Sentence about the last step for the player; a failed skill drops the queued ones."""
+        """Return a sentence about the last step for the player; a failed skill drops the queued ones."""
         # what a new command has interrupted is followed by what that command asked for
         own = [span for span in result.skills if span.agent == self.number and span.reason != "commanded"]
         if any(span.outcome in ("failed", "aborted") for span in own):
@@ -359,7 +359,7 @@ class PersonDriver(SkillDriver):
         """Name of the gesture, and number of its steps so far."""
 
     def follow(self, message: Act) -> str:
-        """Carries out a message; those about hands and head set their targets."""
+        """Follow a message; those about hands and head set their targets."""
         if isinstance(message, Hand):
             if message.p is None:
                 self.hands.pop(message.side, None)
@@ -384,7 +384,7 @@ class PersonDriver(SkillDriver):
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
-        """Command of a velocity with the targets of hands and head, or those of a gesture."""
+        """Return the command of a velocity with the targets of hands and head, or those of a gesture."""
         right, head = self.hands.get("right"), self.head
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
@@ -405,7 +405,7 @@ class PersonDriver(SkillDriver):
         return HandTarget(tuple(hand_points(frames, body)[0].tolist()), tuple(wrist.tolist()))
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
+        """Put the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
         place = PlaceSkill(tuple(point.tolist()))
         if not lead:
             return self.do([place])
@@ -418,15 +418,15 @@ class PersonDriver(SkillDriver):
         return self.go(stand[:2], float(stand[2]))
 
     def drop(self) -> Any:
-        """Skill that drops the object in hand."""
+        """Return the skill that drops the object in hand."""
         return DropSkill()
 
     def give(self, agent: int) -> Any:
-        """Skill that gives the object in hand to another agent."""
+        """Return the skill that gives the object in hand to another agent."""
         return HandOver(agent)
 
     def can_place(self, point: Any) -> str:
-        """Reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
+        """Return the reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
         return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
 
     @property
@@ -444,7 +444,7 @@ class RobotDriver(SkillDriver):
     """A robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
-        """The command that says the next message; it ends the running skill, which begins again after it."""
+        """Return the command that says the next message; it ends the running skill, which begins again after it."""
         if self.runs:
             self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
         return super().speak()
@@ -456,7 +456,7 @@ class RobotDriver(SkillDriver):
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:
-    """Discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
+    """Return discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
     episode = session.episode
     if episode.roster[number].kind == "robot":
         return agent_base(episode, number)

@@ -146,7 +146,7 @@ class WebServer:
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """Web application that aiohttp serves."""
+        """Return the web application that aiohttp serves."""
         app = web.Application(
             client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
         )
@@ -160,7 +160,7 @@ class WebServer:
         return app
 
     def link(self, number: int) -> str:
-        """Path of a seat's page."""
+        """Return the path of a seat's page."""
         is_open = self.open_door and self.plan.seats[number] != "spectator"
         return "/" if is_open else f"/s/{self.journal.links[number]}/"
 
@@ -175,21 +175,21 @@ class WebServer:
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def page(self, request: web.Request) -> web.StreamResponse:
-        """The page of a seat."""
+        """Answer with the page of a seat."""
         self._seat_number(request)
         if not (PAGE / "index.html").is_file():
             raise web.HTTPNotFound(text="The page has not been built. Hint: make web")
         return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def asset(self, request: web.Request) -> web.StreamResponse:
-        """A file of the page; their names have digests of their content."""
+        """Answer with a file of the page; their names have digests of their content."""
         path = PAGE / request.match_info["path"]
         if not path.is_file() or ".." in path.parts:
             raise web.HTTPNotFound
         return web.FileResponse(path, headers={"Cache-Control": "public, max-age=31536000, immutable"})
 
     async def world(self, request: web.Request) -> web.StreamResponse:
-        """A GLB or distance grid, by its digest."""
+        """Answer with a GLB or distance grid, by its digest."""
         found = self.preparer.files.get(request.match_info["name"])
         if found is None:
             raise web.HTTPNotFound(text="There is no such file any more. Reload the page.")
@@ -199,7 +199,7 @@ class WebServer:
 
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
+        """Give a browser its seat, the same one if it has one, and begin the next episode if there is none."""
         number = self._seat_number(request)
         await self._read(request, dict)
         token = request.cookies.get(self._cookie(number), "")
@@ -387,7 +387,10 @@ class WebServer:
 
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
-        """A letter of a worker about a game. One that cannot be written down now is read again."""
+        """Handle a worker's letter about a game.
+
+        One that cannot be written to the disk now is read again later.
+        """
         try:
             self._hear(worker, kind, key, body)
         except sqlite3.OperationalError as fault:
@@ -502,7 +505,7 @@ class WebServer:
 
     # --- sockets ------------------------------------------------------------------------------------------------------
     async def play(self, request: web.Request) -> web.StreamResponse:
-        """The socket of a seat."""
+        """Serve the socket of a seat."""
         require_own_origin(request)
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])

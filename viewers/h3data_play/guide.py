@@ -62,7 +62,7 @@ class Guide:
 
     @classmethod
     def to(cls, free: FreeSpace, base: BaseSpec, xz: Array, goal: ArrayLike, *, heading: float | None = None) -> Guide:
-        """The shortest path over a floor; to the nearest point within `NEAR_M` of a goal that cannot be reached.
+        """Return a guide along the shortest path over a floor; to a point within `NEAR_M` of a goal that cannot be reached.
 
         Raises:
             InputError: no path leads there; the text is for the player.
@@ -75,7 +75,7 @@ class Guide:
         return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:
-        """Forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
+        """Return forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
         if self._commands:
             forward, turn = self._commands.pop(0)
             return forward, turn

@@ -211,7 +211,7 @@ Kind = TypeVar("Kind")
 
 
 def decode(text: str) -> Act | Ping | Can:
-    """The message in a text frame.
+    """Decode the message in a text frame.
 
     Raises:
         msgspec.MsgspecError: it is none: no JSON, an unknown kind, a number out of its range.
@@ -220,7 +220,7 @@ def decode(text: str) -> Act | Ping | Can:
 
 
 def read_json(text: str | bytes, decoder: msgspec.json.Decoder[Kind]) -> Kind:
-    """Decodes JSON that a client has sent: all of it goes through here.
+    """Decode JSON that a client has sent: all of it goes through here.
 
     Raises:
         msgspec.MsgspecError: it is none, is nested too deeply, or is not what the decoder expects.

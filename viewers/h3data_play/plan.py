@@ -51,7 +51,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
-        """Kinds of the agents, robots first: ``usual``, with further ones if more are played.
+        """Return the kinds of the agents, robots first: ``usual``, with further ones if more are played.
 
         No agent is added to people who play alone or among themselves (partner ``solo``, or two people and no partner).
         """
@@ -82,10 +82,10 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def prepared_key(order: GameOrder) -> str:
-    """Names what has been prepared for an episode, whoever plays it."""
+    """Return the name of what has been prepared for an episode, whoever plays it."""
     return f"{order.plan}/{order.index}"
 
 
 def recording_name(index: int) -> str:
-    """File name of an episode's recording, without its ending."""
+    """Return the file name of an episode's recording, without its ending."""
     return f"{index:06d}"

@@ -48,7 +48,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     """True if the server continues after the last episode."""
 
     def front(self, **given: Any) -> WebServer:
-        """The front of what is played; `given` are the options that all fronts have."""
+        """Return the server of this session; `given` are the options that all servers have."""
         raise NotImplementedError
 
 
@@ -59,12 +59,12 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
     tables: int = 1
 
     def front(self, **given: Any) -> WebServer:
-        """Server of the session."""
+        """Return the server of the session."""
         return WebServer(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
-    """Checks that a server that others can reach uses TLS or a proxy.
+    """Check that a server that others can reach uses TLS or a proxy.
 
     Raises:
         Refused: others could listen on the network.
@@ -79,7 +79,7 @@ def require_safe(options: ServeOptions) -> None:
 
 
 def certificate_names(cert: str) -> list[str]:
-    """DNS names of the first certificate in a file (subjectAltName).
+    """Return the DNS names of the first certificate in a file (subjectAltName).
 
     Raises:
         Refused: there is none.
@@ -93,7 +93,7 @@ def certificate_names(cert: str) -> list[str]:
 
 
 async def serve(options: ServeOptions, report: Any) -> int:
-    """Serves until all episodes are over or a signal comes; returns the exit code."""
+    """Serve until all episodes are over or a signal comes; return the exit code."""
     require_safe(options)
     names = certificate_names(options.cert) if options.cert else []
     stops = asyncio.Event()
@@ -161,7 +161,7 @@ async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions
 
 
 def main(kind: type[ServeOptions]) -> int:
-    """Serves with the options of this kind on stdin; returns the exit code."""
+    """Serve with the options of this kind on stdin; return the exit code."""
 
     def report(message: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):

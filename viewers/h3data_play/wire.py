@@ -51,7 +51,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def pack_rotations(quats: NDArray[np.floating]) -> bytes:
-    """Rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
+    """Pack rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     sign = np.where(quats[rows, largest] < 0, -1.0, 1.0)
@@ -62,12 +62,12 @@ def pack_rotations(quats: NDArray[np.floating]) -> bytes:
 
 
 def pack_head(flags: int, agents: int, objects: int, step: int, ack: int, clock_ms: float) -> bytes:
-    """The part of a state that differs between players."""
+    """Pack the part of a state that differs between players."""
     return _HEAD.pack(STATE, flags, agents, objects, step, ack, clock_ms)
 
 
 def pack_pong(client_ms: float, server_ms: float) -> bytes:
-    """The answer to a ping."""
+    """Pack the answer to a ping."""
     return struct.pack("<B7xdd", PONG, client_ms, server_ms)
 
 
@@ -87,7 +87,7 @@ class PackedStep:
     """Positions of all joints."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
-        """The state for one player, with all objects and joints where it is ``whole``."""
+        """Return the state for one player, with all objects and joints where it is ``whole``."""
         listed, joints = (self.objects, self.joints) if whole else (self.moved, self.turned)
         head = pack_head(flags, self.agents, len(listed), step, ack, clock_ms)
         return head + self.agent_bytes + listed.tobytes() + joints.tobytes()
@@ -111,7 +111,7 @@ class StatePacker:
         self._number = {body: number for number, body in moving}
 
     def pack(self, columns: Columns) -> PackedStep:
-        """The last row of ``columns``."""
+        """Pack the last row of ``columns``."""
         parts, holders = [], {}
         for k, body in enumerate(self.bodies):
             agent = f"agent_{k}."

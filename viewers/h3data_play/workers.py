@@ -92,7 +92,7 @@ class WorkerProcess:
         self._lost(self)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Sends a letter; nothing where it is gone."""
+        """Send a letter; do nothing if the process is gone."""
         if self._writer is not None and not self._writer.is_closing():
             self._writer.write(encode(kind, key, body))
 
@@ -108,7 +108,7 @@ class WorkerProcess:
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Lets it finish its recordings, or leave them as logs with which a later server goes on; waits until it has ended."""
+        """Let it finish its recordings, or leave them as logs for a later server; wait until it has ended."""
         self.send("stop", "", {"finish": finish})
         try:
             await asyncio.wait_for(asyncio.to_thread(self.process.wait), seconds)
@@ -150,11 +150,11 @@ class Workers:
         return worker
 
     def least_busy(self) -> WorkerProcess:
-        """Returns the worker that should play the next game."""
+        """Return the worker that should play the next game."""
         return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
     def ready_spare(self) -> WorkerProcess | None:
-        """The warm spare, if there is one."""
+        """Return the warm spare, if there is one."""
         spare = self.spare
         if spare is None or not spare.done() or spare.cancelled() or spare.exception() is not None:
             return None
@@ -172,7 +172,7 @@ class Workers:
             self._on_lost(worker)
 
     async def replacement(self) -> WorkerProcess:
-        """The warm spare, or the next process that gets ready; another spare is started."""
+        """Return the warm spare, or the next process that gets ready; another spare is started."""
         spare = self.spare or asyncio.create_task(self._started())
         worker = await spare
         self.spare = asyncio.create_task(self._started())
@@ -180,7 +180,7 @@ class Workers:
         return worker
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Finishes all recordings, or leaves them as logs."""
+        """Finish all recordings, or leave them as logs."""
         self._stops = True
         if self.spare is not None:
             if self.spare.done() and not self.spare.cancelled() and self.spare.exception() is None:
@@ -221,7 +221,7 @@ class Preparer:
             asked[1].set_result(None)
 
     def made(self, order: GameOrder) -> dict[str, Any] | None:
-        """Returns the prepared files of an episode, if they are still there."""
+        """Return the prepared files of an episode, if they are still there."""
         found = self._made.get(prepared_key(order))
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
@@ -237,7 +237,7 @@ class Preparer:
         return asked[1]
 
     async def wait(self, order: GameOrder) -> dict[str, Any] | None:
-        """Waits for the prepared files of an episode; None if the worker that plays it has to prepare them."""
+        """Wait for the prepared files of an episode; return None if the worker that plays it has to prepare them."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(PREPARE_S):
                 await self._workers.warm_spare()

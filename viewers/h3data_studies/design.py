@@ -162,7 +162,7 @@ class Item(Record, frozen=True):
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
-        """Returns whether an answer passes; every answer does where the item is no check."""
+        """Return whether an answer passes; every answer does if the item is not a check."""
         return self.right_answers is None or answer in self.right_answers
 
 
@@ -231,11 +231,11 @@ class Design(Record, frozen=True):
         return any(condition.is_shared for condition in self.conditions)
 
     def condition(self, name: str) -> Condition:
-        """The condition with a name."""
+        """Return the condition with a name."""
         return next(c for c in self.conditions if c.name == name)
 
     def say(self, text: Text, language: str) -> str:
-        """A text in a language; in the study's first one where it has none in that."""
+        """Return a text in a language; in the study's first language if there is no other."""
         if isinstance(text, str):
             return text
         return (
@@ -277,5 +277,5 @@ class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
     """File of the secret that makes pseudonyms."""
 
     def number(self, condition: str, scene: str) -> int:
-        """Number of the plan of a condition, or of the tutorial (empty name), in a scene."""
+        """Return the number of the plan of a condition, or of the tutorial (empty name), in a scene."""
         return self.numbers[f"{condition}|{scene}"]

@@ -113,7 +113,7 @@ class Progress:
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """Stores what is known about the participant's device, which ends the participation if it is not suitable.
+        """Store what is known about the participant's device, which ends the participation if it is not suitable.
 
         A window that is too small can be enlarged and is checked again, unless the report is the ``final`` one.
 
@@ -142,7 +142,7 @@ class Progress:
     def answer(
         self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
     ) -> dict[str, dict[str, Any]]:
-        """Stores the answers of the form that is next.
+        """Store the answers of the form that is next.
 
         A form whose checks are not passed is asked again; after the last attempt the answers are stored, and the
         participation may end.
@@ -180,7 +180,7 @@ class Progress:
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
-        """Checks that a page refers to the present episode.
+        """Check that a page refers to the present episode.
 
         Raises:
             NotNow: it names another episode (`Stage.block`, `Stage.trial`).
@@ -196,14 +196,14 @@ class Progress:
         return self.form_of(stage)[0]
 
     def form_of(self, stage: Stage) -> tuple[Form, str]:
-        """The form of a stage, and the condition that it is about (empty: none)."""
+        """Return the form of a stage, and the condition that it is about (empty: none)."""
         condition = self.place.blocks[stage.block - 1].condition if stage.after in ("trial", "condition") else ""
         forms = forms_after(self.design, stage.after, condition)
         return next(form for form in forms if form.id == stage.form), condition
 
     # --- what games do ------------------------------------------------------------------------------------------------
     def over(self, key: str, result: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """An episode is over.
+        """Handle the end of an episode.
 
         Args:
             key: Key of the stage, or of the attempt at the tutorial.
@@ -228,7 +228,7 @@ class Progress:
         return self._note(rows)
 
     def end(self, status: str, reason: str) -> None:
-        """Ends the participation, once."""
+        """End the participation, once."""
         if self.status == ACTIVE:
             self.status, self.reason = status, reason
 

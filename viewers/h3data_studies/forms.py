@@ -89,7 +89,7 @@ ABOUT_ROBOT = ("fluency", "trust")
 
 
 def resolved(form: Form) -> Form:
-    """Form with all its items: those of the built-in form that it names, then its own, such as a check.
+    """Return a form with all its items: those of the built-in form that it names, then its own, such as a check.
 
     Its own title and text replace those of the built-in form.
     """
@@ -111,7 +111,7 @@ def resolved(form: Form) -> Form:
 
 
 def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
-    """The forms after consent, practice, each episode of a condition, all of them, or at the end."""
+    """Return the forms after consent, practice, each episode of a condition, all of them, or at the end."""
     found = []
     for form in map(resolved, design.forms):
         if form.after != what or (condition and form.conditions and condition not in form.conditions):
@@ -123,7 +123,7 @@ def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
 
 
 def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, float | str], str]:
-    """The answers that a form takes, and a sentence about the first that it does not."""
+    """Return the answers that a form accepts, and a sentence about the first that it does not accept."""
     taken: dict[str, float | str] = {}
     if unknown := set(answers) - {item.id for item in form.items}:
         return {}, f"There is no question {sorted(unknown)[0][:40]!r} in this form."
@@ -149,12 +149,12 @@ def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, floa
 
 
 def wrong_items(form: Form, answers: dict[str, float | str]) -> list[str]:
-    """The checks of a form that its answers do not pass."""
+    """Return the checks of a form that its answers do not pass."""
     return [item.id for item in form.items if not item.is_right(answers.get(item.id))]
 
 
 def right_answers(design: Design) -> dict[tuple[str, str], float]:
-    """A right answer to each check of a study, by form and item."""
+    """Return a right answer to each check of a study, by form and item."""
     found: dict[tuple[str, str], float] = {}
     for form in map(resolved, design.forms):
         for item in form.items:
@@ -164,7 +164,7 @@ def right_answers(design: Design) -> dict[tuple[str, str], float]:
 
 
 def score(form: Form, answers: dict[str, float | str]) -> float | None:
-    """Mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
+    """Return the mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
     values = [
         item.min + item.max - float(answers[item.id]) if item.reversed else float(answers[item.id])
         for item in form.items

@@ -179,7 +179,7 @@ class StudyServer(WebServer):
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """Web application with the study's pages besides those of live play."""
+        """Return the web application with the study's pages besides those of live play."""
         app = super().application()
         for prefix in ("", "/s/{key}"):
             app.router.add_post(prefix + "/api/study", self.hello)
@@ -224,7 +224,7 @@ class StudyServer(WebServer):
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def hello(self, request: web.Request) -> web.Response:
-        """Returns the stage of the participant; before consent, the text that they are asked to agree to."""
+        """Answer with the stage of the participant; before consent, with the text that they are asked to agree to."""
         body, token = await self._read(request, Hello), ""
         participant = self._participant(request, body.ids)
         if body.rejoin and (participant is None or not participant.is_active):
@@ -257,7 +257,7 @@ class StudyServer(WebServer):
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 
     async def consent(self, request: web.Request) -> web.Response:
-        """A new participant; of those who decline only their number is kept."""
+        """Add a new participant; only the number is stored of those who decline."""
         body = await self._read(request, Answer)
         participant, token = self._participant(request, body.ids), self._token(request)
         language = self._language(body.language)
@@ -309,7 +309,7 @@ class StudyServer(WebServer):
         self._joins[address] = left - 1, now
 
     async def device(self, request: web.Request) -> web.Response:
-        """Stores the page's report about the computer and its connection."""
+        """Store the page's report about the computer and its connection."""
         body = await self._read(request, DeviceReport)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -320,7 +320,7 @@ class StudyServer(WebServer):
         return answer
 
     async def form(self, request: web.Request) -> web.Response:
-        """A form that has been filled in."""
+        """Store a form that has been filled in."""
         body = await self._read(request, Filled)
 
         def answer(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -336,7 +336,7 @@ class StudyServer(WebServer):
         return self._act(request, answer)
 
     async def pause(self, request: web.Request) -> web.Response:
-        """Notes a pause, or its end. The world stands still by itself while nobody is connected to it."""
+        """Store a pause, or its end. The world stands still by itself while nobody is connected to it."""
         body = await self._read(request, Pause)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -349,7 +349,7 @@ class StudyServer(WebServer):
         return self._act(request, note)
 
     async def focus(self, request: web.Request) -> web.Response:
-        """Notes that the participant has turned to another window, or is back; being away is no activity."""
+        """Store that the participant has turned to another window, or is back; being away is no activity."""
         body, participant = await self._read(request, Focus), self._required(request)
         progress = participant.progress
         count = sum(key.startswith(f"{FOCUS}/") for key in progress.rows)
@@ -363,7 +363,7 @@ class StudyServer(WebServer):
         return web.Response(status=204)
 
     async def withdraw(self, request: web.Request) -> web.Response:
-        """The participant stops taking part."""
+        """End the participation at the participant's wish."""
         await self._read(request, Hello)
 
         def stop(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -483,7 +483,7 @@ class StudyServer(WebServer):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Gives a seat to a browser whose page is about the episode that is next."""
+        """Give a seat to a browser whose page is about the next episode."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:
@@ -597,7 +597,7 @@ class StudyServer(WebServer):
                 self._say_full(fault)
 
     def release_unchecked(self, seconds: float) -> None:
-        """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""
+        """Forget those whose computers have not been checked within so many seconds; their places and ids become free."""
         self.journal.count_time()
         for number in list(self._unchecked):
             participant = self.journal.participants.get(number)
@@ -609,7 +609,7 @@ class StudyServer(WebServer):
                 self.report({"released": {"participant": participant.id}})
 
     def look_for_drop_outs(self) -> None:
-        """Counts everybody's time, and ends the sessions of those who have done nothing for too long."""
+        """Count everybody's time, and end the sessions of those who have done nothing for too long."""
         self.journal.count_time()
         now = self.clock()
         for live in self.lives.values():

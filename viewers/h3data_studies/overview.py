@@ -41,12 +41,12 @@ class PlayedEpisode:
 
 
 def is_bot(participant: Participant) -> bool:
-    """Returns whether a participant is a script, and says so."""
+    """Return whether a participant is a script, and declares it."""
     return participant.progress.rows.get("device", {}).get("browser") == BOT
 
 
 def played(participant: Participant) -> list[PlayedEpisode]:
-    """A participant's episodes, practice left out, in order."""
+    """Return a participant's episodes, without practice, in order."""
     episodes = []
     for row, result in participant.progress.rows.items():
         kind, *numbers = row.split("/")

@@ -19,7 +19,10 @@ _PLACEHOLDER = re.compile(r"[{}<>%$\[\]]")
 
 
 def read_key(path: Path) -> bytes:
-    """The secret of a study, made at its first use and readable for its owner only: whoever gets the folder lacks the key."""
+    """Return the secret of a study, made at its first use and readable for its owner only.
+
+    It is not in the study's folder, so that a copy of the folder lacks the key.
+    """
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -30,7 +33,7 @@ def read_key(path: Path) -> bytes:
 
 
 def recruit_ids(given: dict[str, str], key: bytes) -> dict[str, str]:
-    """Pseudonyms of the ids that a link has brought; unknown and empty ones are left out."""
+    """Return pseudonyms of the ids in a participant's link; unknown and empty ones are left out."""
     from h3data.pseudonyms import anonymous_id  # light: it imports nothing but the standard library
 
     ids = {name: given.get(name, "").strip() for name in IDS}

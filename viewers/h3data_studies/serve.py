@@ -16,7 +16,7 @@ class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
     study: StudyPlan
 
     def front(self, **given: Any) -> StudyServer:
-        """Server of the study."""
+        """Return the server of the study."""
         return StudyServer(self.study, **given)
 
 

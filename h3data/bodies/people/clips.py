@@ -127,7 +127,7 @@ class Gaits:
 
 
 def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
-    """Standing, the walks, the jog and the two stepping turns of a body, sampled for fast reading (30 ms)."""
+    """Return clips of a body, sampled for fast reading (30 ms): standing, the walks, the jog and the two stepping turns."""
     legs, phase = gaits.legs, np.arange(CLIP_FRAMES) / CLIP_FRAMES
     clips = [_clip("stand", legs, stand_posture(legs))]
     for speed in (*WALK_SPEEDS_MPS, JOG_SPEED_MPS):
@@ -185,7 +185,7 @@ def _clip(
 def pose_at_speed(
     gaits: Gaits, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame of moving at any speed [T] [m/s].
+    """Return local rotations [T, 55, 4] and pelvis places [T, 3], agent root frame, of moving at any speed [T] [m/s].
 
     ``phase`` [T], ``blend`` [T] and ``ground`` as in `sample_clips`.
     """
@@ -278,7 +278,7 @@ def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
 def sample_clips(
     table: ClipTable, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+    """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
     ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
     ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see

@@ -121,7 +121,7 @@ _KEYS = _keys()
 
 
 def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLike) -> None:
-    """Adds gestures to poses of people who stand or sit, in place.
+    """Add gestures to poses of people who stand or sit, in place.
 
     Args:
         body: Their body.
@@ -154,7 +154,7 @@ ARMS = CARRY_JOINTS[:, 1:]
 
 
 def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) -> None:
-    """Leads the hands of poses of people who stand or walk, in place.
+    """Lead the hands of poses of people who stand or walk, in place.
 
     Args:
         body: Their body.
@@ -192,7 +192,7 @@ def lead_wrists(
     twist_deg: float,
     wrist_deg: float = 0.0,
 ) -> None:
-    """Leads the wrists of poses [T] to places, in place; those out of reach are approached.
+    """Lead the wrists of poses [T] to places, in place; those out of reach are approached.
 
     Args:
         body: Their body.

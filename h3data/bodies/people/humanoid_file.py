@@ -126,7 +126,7 @@ class _Common:
 
 @lru_cache(maxsize=1)
 def builtin_common() -> _Common:
-    """Arrays that all built-in bodies share, read once."""
+    """Return the arrays that all built-in bodies share, read once."""
     data = read_arrays(builtin_path(f"bodies/{COMMON_FILE}"), COMMON_FORMAT)
     return _Common(
         name=str(data["common"]),

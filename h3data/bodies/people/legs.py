@@ -81,7 +81,7 @@ class Posture:
 
 
 def rotation(axis: Array, angle_deg: ArrayLike) -> Array:
-    """Rotation matrices [..., 3, 3] about a fixed axis, angles [...] in degrees."""
+    """Return the rotation matrices [..., 3, 3] about a fixed axis, angles [...] in degrees."""
     return quat_to_matrix(quat_from_axis_angle(axis, np.radians(np.asarray(angle_deg, np.float64))))
 
 
@@ -100,7 +100,7 @@ class SolvedLegs:
 
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
-    """Two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
+    """Solve two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
     from h3data.bodies.people.kernels.legs import write_all_legs
 
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))

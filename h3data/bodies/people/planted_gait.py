@@ -92,7 +92,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
 
 
 def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
-    """The gaits of a body whose feet keep out of the walls and furniture of a home, and stand on the treads of its stairs."""
+    """Return gaits of a body whose feet avoid the walls and furniture of a home, and stand on the treads of its stairs."""
     # contiguous float64, for which the kernels are compiled
     return tables._replace(
         sdf=np.ascontiguousarray(free.sdf, np.float64),
@@ -127,7 +127,7 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
 
 
 def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT) -> tuple[Array, Array]:
-    """Local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
+    """Return the local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
 
     The first joints alone take less time: 16 are legs, trunk and head, without which the kernel cannot do.
     """
@@ -192,14 +192,14 @@ class PlantedWalk:
         _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
-        """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
+        """Make the `step` to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
         _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
-        """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
+        """Return the local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
         from h3data.bodies.people.kernels.planted import pose_gaits
 
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))

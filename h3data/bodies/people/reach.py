@@ -151,7 +151,7 @@ def reach_poses(
 
 
 def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> Array:
-    """World places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
+    """Return the world places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
     frames = joint_matrices[:, JOINT_INDEX[f"{hand}_wrist"]]
     return frames[:, :3, :3] @ grasp_point(body, hand) + frames[:, :3, 3]
 
@@ -260,7 +260,7 @@ class ReachSolver:
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
-        """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
+        """Return a valid point [3] near ``target``: from the nearest valid table points towards it, as far as all are valid."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
         starts = self.valid_points[np.argsort(gap)[: self.tried]]
@@ -326,7 +326,7 @@ def _shoulder(body: Humanoid) -> float:
 
 
 def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
-    """Measures of one body and hand, body frame."""
+    """Return the measures of one body and hand, in the body frame."""
     sign, other = (1.0, "right") if hand == "left" else (-1.0, "left")
     stand, frames = _standing(body)
     # the order is that of `ReachBody.joints`

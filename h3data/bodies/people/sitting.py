@@ -91,7 +91,7 @@ class Sitting:
     """Rotations [55, 4] and pelvis [3] on the seat, in the body frame."""
 
     def pose(self, share: ArrayLike) -> tuple[Array, Array]:
-        """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+        """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``share`` [T] leads from standing (0) to sitting (1).
         """

@@ -160,7 +160,10 @@ class Robot:
         return self.base_cylinders()
 
     def base_cylinders(self, profile: str = "") -> tuple[Cylinder, ...]:
-        """Upright cylinders over the discs of a profile (``base_profiles``; empty = ``base_discs``), agent root frame."""
+        """Return upright cylinders over the discs of a profile, in the agent root frame.
+
+        The profile is one of ``base_profiles``; an empty name means ``base_discs``.
+        """
         if profile and profile not in self.base_profiles:
             known = ", ".join(self.base_profiles) or "none"
             raise InputError(f"Robot {self.name} has no base profile {profile!r}. It has: {known}.", code="H3-BODY-094")
@@ -186,7 +189,7 @@ class Robot:
         return tuple(sorted({int(self.columns[k]) + i for k in moving for i in range(4 if self.kinds[k] == 3 else 1)}))
 
     def require_arm(self) -> tuple[int, ...]:
-        """`arm_columns` of a robot that must have an arm.
+        """Return `arm_columns`; raise an error if the robot has no arm.
 
         Raises:
             InputError: It has no hand, or no joint moves it.
@@ -239,7 +242,7 @@ class Robot:
         return JointTargets(np.clip(wanted, self.lower, self.upper), (wanted < self.lower) | (wanted > self.upper))
 
     def link_matrices(self, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
-        """World matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
+        """Return the world matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
         from h3data.bodies.robots.kinematics import link_frames  # numba: robots can be read without it
 
         bases = np.asarray(base_pose, np.float64)
@@ -257,7 +260,7 @@ class Robot:
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
-        """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+        """Return the link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
 
         ``base`` are agent roots [*batch, 4, 4], ``joint_pos`` joint positions [*batch, J], whose device the result has.
         """

@@ -75,7 +75,7 @@ def trot(
     *,
     heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
-    """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
+    """Return joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
 
     Args:
         robot: A robot; one without legs gets its joint positions back.
@@ -199,7 +199,7 @@ def _feet(
 
 
 def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float64]:
-    """Hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
+    """Return the hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
 
     Closed form: the roll turns the plane of the leg through the point, two sides of a triangle do the rest. Points out of
     reach are approached along the line from the hip, angles end at their limits.

@@ -129,7 +129,7 @@ def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | N
 
 
 def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple[int, int, int] | None:
-    """Colour of a ``<color>`` element as (red, green, blue) of 0..255; None without an element."""
+    """Return the colour of a ``<color>`` element as (red, green, blue) of 0..255; None without an element."""
     if element is None:
         return None
     text = element.get("rgba")

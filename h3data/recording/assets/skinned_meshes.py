@@ -35,7 +35,7 @@ class SkinnedMesh:
     """File frame to ours, 4x4."""
 
     def vertices(self, root: Array, bones: Array, names: Sequence[str]) -> NDArray[np.float32]:
-        """World vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
+        """Return world vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
 
         ``names`` says which joint each bone moves; a joint without a bone follows the root. Bones are world frames
         without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, F turning the file's axes

@@ -67,14 +67,14 @@ class CutRecording:
         self._open = dict(enumerate(recording.skills))
 
     def events(self, stop: int) -> Iterator[Event]:
-        """Events before step ``stop`` that were not handed out yet."""
+        """Yield the events before step ``stop`` that were not returned yet."""
         events = self._recording.events
         while self._events < len(events) and (stop == len(self._times) or events[self._events].step < stop):
             self._events += 1
             yield events[self._events - 1]
 
     def inputs(self, stop: int) -> Iterator[InputEvent]:
-        """Inputs up to the time of step ``stop - 1`` that were not handed out yet."""
+        """Yield the inputs up to the time of step ``stop - 1`` that were not returned yet."""
         inputs = self._recording.inputs
         last = stop == len(self._times)
         while self._inputs < len(inputs) and (last or inputs[self._inputs].time_ns <= self._times[stop - 1]):

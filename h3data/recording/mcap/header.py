@@ -16,7 +16,7 @@ TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
 
 
 def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
-    """Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
+    """Return the Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
     t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
     try:
         return int(t0)

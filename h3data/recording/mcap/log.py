@@ -214,7 +214,7 @@ class LogWriter:
         return number
 
     def flush(self) -> None:
-        """Hands everything appended so far to the operating system, where it survives the end of this process."""
+        """Give everything appended so far to the operating system, where it survives the end of this process."""
         self._require_open()
         with self._file.writing():
             self._write_pending()

@@ -58,7 +58,7 @@ class Backlog:
         self._file.flush()
 
     def fileno(self) -> int:
-        """File descriptor of the underlying file."""
+        """Return the file descriptor of the underlying file."""
         return self._file.fileno()
 
     def close(self) -> None:

@@ -108,7 +108,7 @@ def lacks_records(log: McapRecords) -> bool:
 
 
 def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
-    """`reconstruct` from a whole log; a `FormatError` if its topics cannot be read."""
+    """Reconstruct a whole log as `reconstruct` does; raise a `FormatError` if its topics cannot be read."""
     try:
         reconstruct(log, path)
     except (KeyError, *decoding_errors()) as error:

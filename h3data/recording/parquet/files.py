@@ -18,7 +18,7 @@ def shard_path(root: Path, kind: str, shard: int) -> Path: ...
 @overload
 def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath: ...
 def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
-    """File number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
+    """Return the path of file number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
     return root / kind / f"chunk-{shard // FILES_PER_CHUNK:03d}" / f"file-{shard % FILES_PER_CHUNK:03d}.parquet"
 
 

@@ -142,7 +142,7 @@ class DatasetFolder:
         return len(self.episodes)
 
     def row(self, index: int) -> dict[str, Any]:
-        """Row ``index`` of `episodes`.
+        """Return row ``index`` of `episodes`.
 
         Raises:
             InputError: there is no such episode.
@@ -159,7 +159,7 @@ class DatasetFolder:
         return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
 
     def read_group(self, group: Sequence[int], names: Sequence[str]) -> pa.Table:
-        """Stored columns of some episodes of one shard, at least one of them with steps.
+        """Read stored columns of some episodes of one shard, at least one of them with steps.
 
         Raises:
             FormatError: they are damaged.

@@ -39,7 +39,7 @@ class Totals:
 
     @classmethod
     def of(cls, root: AnyPath) -> Self:
-        """Totals of all committed episodes of a dataset.
+        """Count all committed episodes of a dataset.
 
         Raises:
             FormatError: an episode table is damaged.

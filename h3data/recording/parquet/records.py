@@ -35,7 +35,7 @@ DAMAGE = (
 
 
 def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
-    """Table in a small Parquet file, without the columns for which ``leave_out`` is true.
+    """Read the table in a small Parquet file, without the columns for which ``leave_out`` is true.
 
     It takes half the time of `pq.read_table`, which is made for folders of files.
     """

@@ -124,7 +124,7 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def instance_handles(episode: RearrangeEpisode) -> list[str]:
-    """Handles ``<template>_:<count>`` that Habitat gives to ``episode.rigid_objects``, in the same order.
+    """Return the handles ``<template>_:<count>`` that Habitat gives to ``episode.rigid_objects``, in the same order.
 
     Habitat instances them in the order of their template names and counts per template (spec/habitat.md 6.5).
     """
@@ -132,7 +132,10 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
 
 def handles_of(configs: Sequence[str]) -> list[str]:
-    """Handles that Habitat gives to objects, by the file names of their templates, in the same order (`instance_handles`)."""
+    """Return the handles that Habitat gives to objects, from the file names of their templates, in the same order.
+
+    See `instance_handles`.
+    """
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
     # the sort is stable, so objects of one template are counted in the order of the file

@@ -49,12 +49,12 @@ def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
 
 
 def info_block(task: str, record: StoredEpisode) -> dict[str, Any]:
-    """``info`` of a Habitat episode that carries a record of a task."""
+    """Return the ``info`` of a Habitat episode that carries a record of a task."""
     return {KEY: {"task": task, "version": VERSION, **plain(msgspec.to_builtins(record))}}
 
 
 def task_of(episode: RearrangeEpisode) -> str | None:
-    """Task of the record that an episode carries; None if it carries none."""
+    """Return the task of the record that an episode carries; None if it carries none."""
     block = episode.info.get(KEY)
     task = block.get("task") if isinstance(block, dict) else None
     return task if isinstance(task, str) else None

@@ -174,7 +174,9 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
 
 
 def rearrangement_of(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
-    """Objects, targets and instruction of an episode of Habitat's files, whose targets count only without placements.
+    """Return the objects, targets and instruction of an episode of Habitat's files.
+
+    Targets count only in an episode without placements.
 
     Raises:
         InputError: a target is no object of it, or a pose is none.

@@ -79,7 +79,7 @@ def rooms_level(rooms: tuple[Room, ...]) -> float:
 
 
 def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height_m: float) -> MultiPolygon:
-    """Floor of the rooms at one height minus everything between climb and head height above it: not yet inflated."""
+    """Return the floor of the rooms at one height minus everything between climb and head height above it."""
     rooms = tuple(r for r in scene.rooms if abs(r.floor_y - floor_y) <= climb_m)
     if not rooms:
         levels = sorted({r.floor_y for r in scene.rooms})
@@ -93,7 +93,7 @@ def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height
 
 
 def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> MultiPolygon:
-    """The floor of all storeys and of the stairs that join them, minus everything between climb and head height above it."""
+    """Return the floor of all storeys and their stairs, minus everything between climb and head height above it."""
     whole, parts = rooms_floor(scene.rooms), []
     stairs = [room for room in scene.rooms if room.ramp is not None]
     wells = shapely.union_all([box(*r) for room in stairs for r in room.rectangles.tolist()])

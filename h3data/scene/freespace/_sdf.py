@@ -37,7 +37,10 @@ def _clipped(value: float, most: float) -> float:
 
 @kernel(inline="always")  # called, it would count references to its arrays: stepping takes a quarter longer
 def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> float:
-    """Signed distance [m] at the floor point (x, z), bilinear; off the grid the border value minus the distance to it."""
+    """Return the signed distance [m] at the floor point (x, z), bilinear.
+
+    Off the grid it is the border value minus the distance to the border.
+    """
     fx = (x - origin[0]) / cell - 0.5
     fz = (z - origin[1]) / cell - 0.5
     cx, cz = _clipped(fx, sdf.shape[0] - 1.0), _clipped(fz, sdf.shape[1] - 1.0)
@@ -55,7 +58,7 @@ def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -
 
 @kernel(inline="always")
 def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> tuple[float, float]:
-    """Gradient (d/dx, d/dz) of the bilinear distance at (x, z).
+    """Return the gradient (d/dx, d/dz) of the bilinear distance at (x, z).
 
     It points away from the nearest obstacle, with a length of about 1 (shorter on the ridges half-way between
     obstacles).
@@ -125,7 +128,7 @@ def trace_rays(sdf, origin, cell, points, angles, most):
 
 @kernel()
 def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
-    """Signed distances [N] [m] at points [N, 2]."""
+    """Return the signed distances [N] [m] at points [N, 2]."""
     out = np.empty(len(points))
     for k in range(len(points)):
         out[k] = sample_sdf(sdf, origin, cell, points[k, 0], points[k, 1])
@@ -134,7 +137,7 @@ def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray)
 
 @kernel()
 def sdf_gradient_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
-    """Gradients [N, 2] of the distance at points [N, 2]."""
+    """Return the gradients [N, 2] of the distance at points [N, 2]."""
     out = np.empty((len(points), 2))
     for k in range(len(points)):
         out[k, 0], out[k, 1] = sdf_gradient(sdf, origin, cell, points[k, 0], points[k, 1])
@@ -185,7 +188,7 @@ def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) 
 
 @kernel()
 def sdf_from_edges(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
-    """Exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
+    """Return the exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
 
     Blocks of cells share one list of edges that can be nearest to any of them: an edge farther from the middle of a
     block than the nearest one plus the block's diameter cannot be.

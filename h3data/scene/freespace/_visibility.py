@@ -153,7 +153,10 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
 
 @kernel()
 def locate(graph: Graph, x: float, z: float) -> int:
-    """Island of a point, -1 = not free: the label of the bucket's middle, changed at every edge on the way to it."""
+    """Return the island of a point, -1 = not free.
+
+    It is the label of the bucket's middle, changed at every edge between the middle and the point.
+    """
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
     if not (np.isfinite(x) and np.isfinite(z)):
@@ -187,7 +190,7 @@ def locate(graph: Graph, x: float, z: float) -> int:
 
 @kernel()
 def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple[float, float, int]:
-    """(x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
+    """Return (x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
     island = locate(graph, x, z)
     if island >= 0:
         return x, z, island
@@ -239,7 +242,7 @@ def bucket_of(graph: Graph, x: float, z: float) -> int:
 
 @kernel()
 def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
-    """Pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
+    """Return pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
     pairs = np.empty((1024, 2), np.int32)
     lengths = np.empty(1024)
     count = 0
@@ -269,7 +272,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Nodes at which a taut string from a free point (x, z) could bend first, whether seen or not, and how far they are."""
+    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and their distances."""
     nodes, candidates = graph.nodes, graph.visible_nodes
     b = bucket_of(graph, x, z)
     size = graph.visible_start[b + 1] - graph.visible_start[b]
@@ -287,7 +290,7 @@ def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Nodes that a taut string from a free point (x, z) can reach first, and how far they are."""
+    """Return nodes that a taut string from a free point (x, z) can reach first, and their distances."""
     found, away = tangent_nodes(graph, x, z)
     count = 0
     for k in range(len(found)):
@@ -299,7 +302,7 @@ def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def locate_many(graph: Graph, points: NDArray) -> NDArray:
-    """Islands [N] of points [N, 2], -1 = not free."""
+    """Return the islands [N] of points [N, 2], -1 = not free."""
     out = np.empty(len(points), np.int32)
     for k in range(len(points)):
         out[k] = locate(graph, points[k, 0], points[k, 1])

@@ -164,7 +164,9 @@ class FreeSpace(FloorMap):
         return self.signed_distance(points) - self.radius_m
 
     def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
-        """Distance [..., R] [m], at most ``max_m``, from points [..., 2] along headings [..., R] [rad] to an obstacle.
+        """Return the distance [..., R] [m] from points [..., 2] along headings [..., R] [rad] to an obstacle.
+
+        It is at most ``max_m``.
 
         That is what an ideal laser scanner measures in a plane. The outlines are those of the map: whatever stands in the
         way of an agent counts as solid between ``max_climb_m`` and ``height_m``.
@@ -198,7 +200,7 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: snap_many(self.graph, p, max_distance_m), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
-        """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""
+        """Sample free points [n, 2] of one island uniformly; each call takes 3 n random numbers, so streams stay aligned."""
         triangles, cumulative = self._triangles(island)
         # which triangle, and two coordinates in it
         u = rng.random((n, 3))
@@ -218,7 +220,7 @@ class FreeSpace(FloorMap):
         return each_pair(lambda p, q: self.entries(geodesic_many, self.graph, p, q, float(max_snap_m)), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Way points [k, 2] of the shortest path from a [2] to b [2], both ends (as moved) included; k = 0: no path.
+        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], with both ends (as moved); k = 0: no path.
 
         ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
         """
@@ -237,7 +239,7 @@ class FreeSpace(FloorMap):
     def first_leg(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> tuple[float, NDArray[np.float64]]:
-        """`geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN when there is no path."""
+        """Return `geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN without a path."""
         (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
         length, x, z = self.entries(first_leg, self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
         return length, np.array([x, z])
@@ -249,7 +251,7 @@ class FreeSpace(FloorMap):
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """`geodesic` by look-ups in the lattice's table: within about 0.1 % (p95 below 1 %).
+        """Return `geodesic` by look-ups in the lattice's table: within about 0.1% (p95 below 1%).
 
         What a back end computes that can gather but not search (a GPU), as its reference; here `geodesic` is faster. Exact
         where the way is straight or shorter than 3 m. The table is built at the first call.

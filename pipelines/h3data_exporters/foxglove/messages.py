@@ -41,7 +41,7 @@ def stamp(time_ns: int) -> Timestamp:
 
 
 def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameTransforms:
-    """``(parent, child, pose7 of the child in its parent)`` of some frames."""
+    """Build the message of frames, given as ``(parent, child, pose7 of the child in its parent)``."""
     at = stamp(time_ns)
     return FrameTransforms(
         transforms=[

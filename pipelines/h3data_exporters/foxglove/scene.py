@@ -39,7 +39,7 @@ class Group:
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:
-        """Message to publish at a step."""
+        """Return the message to publish at a step."""
         if self.there is None or self.there[step]:
             # one message object for all steps: its models may be megabytes
             for entity in self.entities:

@@ -292,7 +292,7 @@ def _markers_json(markers: Sequence[Marker]) -> list[Any]:
 
 
 def encode_json(content: Any, where: str) -> bytes:
-    """Compact JSON of a value.
+    """Encode a value as compact JSON.
 
     Raises:
         InputError: it holds a number that is not finite, or a value that JSON does not know; the message names ``where``.

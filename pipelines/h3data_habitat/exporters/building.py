@@ -17,7 +17,7 @@ _CEILING_SLACK_M = 0.01
 
 
 def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh], list[GlbNode]]:
-    """Meshes, and the nodes that place them, with category, semantic id and layer in their ``extras["h3data"]``."""
+    """Return the meshes, and the nodes that place them, with category, semantic id and layer in ``extras["h3data"]``."""
     meshes: list[Mesh] = []
     shared: dict[str, int] = {}
     nodes = []

@@ -132,7 +132,7 @@ class DatasetExport:
         return self.folder / f"scenes/{handle}.scene_instance.json", _add_scene(self._files, handle, scene)
 
     def add_object(self, scene: Scene, instance: Instance) -> str:
-        """File name of the object template of an instance that is in no scene of the dataset."""
+        """Add the template of an object that no scene of the dataset has, and return its file name."""
         asset = scene.assets[instance.asset]
         self._files.classes.setdefault(int(instance.semantic_id), asset.category)
         return (

@@ -57,7 +57,7 @@ def add_agents(
     *,
     roots: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
-    """Agents (robots first), bodies that name their agent, the agents' columns, and how each was recognised.
+    """Find the agents of a session, robots first, with their bodies and columns and the way each was recognised.
 
     A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows

@@ -48,7 +48,7 @@ class Updates:
             self._values.extend(bone.r)
 
     def poses(self, bones: int = 1) -> NDArray[np.float32]:
-        """Poses (pose7) [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
+        """Return the poses (pose7) [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
 
         Files round to 4 decimals. A quaternion of 0 gives NaN. The result is a view: updates can neither be added nor
         removed while it is held.

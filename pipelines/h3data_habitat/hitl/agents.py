@@ -51,7 +51,7 @@ class AgentTrack:
 
 
 def tilt_rad(roots: Array) -> float:
-    """Median angle between the y axes of roots [T, 7] and the vertical; 0 without any finite root."""
+    """Return the median angle between the y axes of roots [T, 7] and the vertical; 0 without any finite root."""
     known = roots[np.isfinite(roots).all(1)]
     if not len(known):
         return 0.0
@@ -85,7 +85,7 @@ def add_agents(
     robot: str,
     joint_order: JointOrder | None = None,
 ) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:
-    """Agents, their columns except held bodies, and for each agent what was recorded and what is made up.
+    """Find the agents of a session, with their columns and notes on which parts were recorded and which are assumed.
 
     Robots are shown by a built-in model in its resting posture. People with a logged posture keep it, on the built-in
     body whose feet come nearest to the floor with it; for the others a walk is synthesised from the path of their root.

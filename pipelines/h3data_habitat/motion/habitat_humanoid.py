@@ -111,7 +111,7 @@ _WITHOUT_FORWARD = np.array([1.0, 1.0, 0.0])
 
 
 def base_matrix(position: ArrayLike, forward: ArrayLike) -> Array:
-    """Base frame [4, 4] at ``position`` [3] that looks along the horizontal unit vector ``forward`` [3]."""
+    """Return the base frame [4, 4] at ``position`` [3] that looks along the horizontal unit vector ``forward`` [3]."""
     x, y, z = np.asarray(forward, np.float64)
     matrix = np.eye(4)
     matrix[:3] = np.stack([[x, y, z], [z, 0, -x], [0, 1, 0], np.asarray(position, np.float64)], axis=1)
@@ -173,7 +173,7 @@ class HabitatHumanoid:
 
     # --- commands ---------------------------------------------------------------------------------------------------
     def stop(self) -> None:
-        """The standing pose, where the base is."""
+        """Take the standing pose, where the base is."""
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
 
     def turn(self, target: ArrayLike) -> None:
@@ -316,7 +316,7 @@ class HabitatHumanoid:
         return self.base @ np.linalg.inv(_BASE_OF_ROOT) @ self.offset
 
     def columns(self) -> tuple[Array, Array]:
-        """Pelvis pose7 in the world [7] and local rotations [54, 4] in SMPL-X order: a recording's free-form pose."""
+        """Return the pelvis pose7 in the world [7] and local rotations [54, 4] in SMPL-X order, as recordings store poses."""
         return pose_from_matrix(self.root), self.joints[self._order]
 
 
@@ -372,7 +372,9 @@ def _within_half_turn(degrees: float) -> float:
 
 
 def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Array, Array]:
-    """Joints [54, 4] and offset [4, 4] of one frame of a sequence, as ``HumanoidSeqPoseController`` (spec/habitat.md 3.3).
+    """Return the joints [54, 4] and offset [4, 4] of one frame of a sequence.
+
+    Source: ``HumanoidSeqPoseController`` (spec/habitat.md 3.3).
 
     ``start`` [4, 4] is the base frame in which the sequence begins. The offset holds the way since then *and* the place
     of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not start at the world's origin

@@ -32,7 +32,7 @@ class HabitatPick:
         """True if the last `step` ended a pick or place."""
 
     def reset(self) -> None:
-        """A new episode: the hand is where it starts."""
+        """Begin a new episode with the hand where it starts."""
         self.steps = 0
         self.done = False
 

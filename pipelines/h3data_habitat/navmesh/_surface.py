@@ -363,7 +363,7 @@ def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> t
 
 @kernel(error_model="numpy")
 def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> int:
-    """Polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
+    """Return the polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     if p < 0 or abs(ny - y) > delta or np.hypot(nx - x, nz - z) > 1e-2:
         return -1

@@ -18,7 +18,7 @@ the wall is all that can be seen along it."""
 
 
 def build_surface(navmesh: NavMesh) -> Surface:
-    """Polygons of a navmesh that can be walked on, without path graph (see `with_graph`).
+    """Build the surface of the polygons of a navmesh that can be walked on, without path graph (see `with_graph`).
 
     Polygon k of the surface is the k-th of `NavMesh.enabled`.
     """

@@ -128,7 +128,7 @@ def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
 
 @kernel()
 def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
-    """Links between nodes that see each other and are taut at both ends: (start int64 [n + 1], node int64 [links])."""
+    """Link nodes that see each other and are taut at both ends: (start int64 [n + 1], node int64 [links])."""
     n = len(surface.node)
     start = np.zeros(n + 1, np.int64)
     links = np.empty(max(16 * n, 1), np.int64)
@@ -220,7 +220,7 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
 
 @kernel()
 def way(surface: Surface, a: NDArray, b: NDArray) -> tuple[float, NDArray]:
-    """`shortest` between the points of the surface nearest to a [3] and b [3]."""
+    """Return `shortest` between the points of the surface nearest to a [3] and b [3]."""
     first, ax, ay, az = nearest(surface, a[0], a[1], a[2], -1)
     last, bx, by, bz = nearest(surface, b[0], b[1], b[2], -1)
     if first < 0 or last < 0:

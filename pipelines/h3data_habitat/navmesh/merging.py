@@ -34,7 +34,7 @@ def plain_outline(area: MultiPolygon) -> MultiPolygon:
 
 
 def merged_polygons(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> list[list[int]]:
-    """Convex polygons of at most `CORNERS_MAX` corners that cover the triangles, as lists of vertices.
+    """Merge triangles into convex polygons of at most `CORNERS_MAX` corners, as lists of vertices.
 
     Greedy, longest shared edge first: what Recast's ``mergePolyMeshPolys`` does.
 

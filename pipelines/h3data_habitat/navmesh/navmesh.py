@@ -134,7 +134,7 @@ class NavMesh:
         return np.flatnonzero(self.islands == island)
 
     def triangles(self, *, island: int | None = None) -> NDArray[np.float32]:
-        """Detail triangles [T, 3, 3] [m] of the polygons that can be walked on, or of one island."""
+        """Return the detail triangles [T, 3, 3] [m] of the polygons that can be walked on, or of one island."""
         if island is not None:
             self._check(island)
         wanted = self.enabled if island is None else self.islands == island

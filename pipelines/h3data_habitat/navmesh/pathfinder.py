@@ -99,7 +99,7 @@ class PathFinder:
         return reached
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Way points [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0: no path."""
+        """Return waypoints [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0: no path."""
         return self._paths(start, _point(end)[None])[0][1]
 
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
@@ -231,7 +231,7 @@ class PathFinder:
         return self.navigable_area if k < 0 else float(self.navmesh.island_areas[k])
 
     def get_island(self, point: ArrayLike) -> int:
-        """Island of the polygon nearest to a point [3], -1 if there is none near."""
+        """Return the island of the polygon nearest to a point [3], -1 if there is none near."""
         polygon = self._nearest(point)[0]
         return int(self._surface.island[polygon]) if polygon >= 0 else -1
 
@@ -253,7 +253,7 @@ class PathFinder:
         return float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
 
     def get_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper corner [3] of the baked volume, as the file says."""
+        """Return the lower and upper corner [3] of the baked volume, as the file says."""
         low, high = self.navmesh.bounds.astype(np.float64)
         return low, high
 

@@ -67,7 +67,7 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
 
 
 def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 1.0) -> NDArray[np.float64]:
-    """URDF link frames in the frame of the base link, [L, 4, 4], of a robot that is scaled as a whole.
+    """Return the URDF link frames in the frame of the base link, [L, 4, 4], of a robot that is scaled as a whole.
 
     Args:
         robot: The tree.
@@ -86,7 +86,7 @@ def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 
 def pose_of_links(
     robot: Robot, base: NDArray[np.float64], frames: NDArray[np.float64], *, scale: float
 ) -> NDArray[np.float64]:
-    """World matrices [L, 4, 4] of URDF link frames.
+    """Return world matrices [L, 4, 4] of URDF link frames.
 
     ``base`` [4, 4] is the centre of mass of the base link, as Habitat gives the pose of an articulated object
     (habitat-findings, "what habitat-sim itself does" 2).
@@ -126,7 +126,7 @@ def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
 def initial_positions(
     robot: Robot, entry: Mapping[str, Any], *, link_order: str, where: Path
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Joint positions [J] that an instance's ``initial_joint_pose`` asks for, and warnings.
+    """Return the joint positions [J] that an instance's ``initial_joint_pose`` asks for, and warnings.
 
     A list is in the order of `joint_order`. An object names joints; if a name is none, its values are taken as a list in
     the order of the names, which is what habitat-sim does in any case.

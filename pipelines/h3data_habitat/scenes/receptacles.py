@@ -122,7 +122,7 @@ def _rectangle(
 def largest_rectangle(
     vertices: NDArray[np.float64], mesh: Mesh
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Centre [3] and half size (x, z) [2] of the largest level rectangle that a mesh's level triangles cover, or None.
+    """Return centre [3] and half size (x, z) [2] of the largest level rectangle on a mesh's level triangles, or None.
 
     Cells of a 64 x 64 grid over the mesh are covered if all their corners are; so the result never overhangs by more
     than the thin slivers between grid corners.

@@ -102,7 +102,7 @@ class SceneBuilder:
         )
 
     def add_articulated(self, template: Template, entry: Mapping[str, Any], *, where: Path) -> None:
-        """An articulated object: one static instance ``<name>/<link>`` per link that is seen or collides, and its joints."""
+        """Add an articulated object: a static instance ``<name>/<link>`` for each visible or colliding link, and its joints."""
         self.templates.keys.note("articulated_instance", entry)
         name = self._next_name(template)
         read = self.templates.articulated(template)

@@ -52,7 +52,7 @@ class Template:
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:
-        """Defaults of the dataset, then the file, then the dataset's overrides (spec/habitat.md 6.1)."""
+        """Return the attributes: defaults of the dataset, then the file, then the dataset's overrides (spec/habitat.md 6.1)."""
         own: dict[str, Any] = {}
         if self.is_config:
             own = read_object(self.path)
@@ -131,7 +131,7 @@ class SceneDataset:
         return index
 
     def names(self, section: Section) -> list[str]:
-        """Handles in a section, sorted."""
+        """Return the handles in a section, sorted."""
         return sorted(t.handle for t in self.sections.get(section, ()))
 
 

@@ -45,7 +45,7 @@ class Rigid:
     """True if this origin scales with the object, which it does unless the config gives it."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
+        """Return Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
         return self.middle * scale if self.middle_scales else self.middle
 
 

@@ -86,21 +86,21 @@ Maker = Callable[[np.random.Generator, Style], Furniture]
 
 
 def box_part(center: ArrayLike, size: ArrayLike) -> Box:
-    """Collision box by its centre and full size."""
+    """Build a collision box by its centre and full size."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Box(pose=pose, half_extents=np.asarray(size, float) / 2)
 
 
 def cylinder_part(center: ArrayLike, radius: float, height: float) -> Cylinder:
-    """Upright collision cylinder by its centre."""
+    """Build an upright collision cylinder by its centre."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
 def surface(name: str, center: ArrayLike, size: ArrayLike, clearance: float) -> Receptacle:
-    """Receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
+    """Build a receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
     )

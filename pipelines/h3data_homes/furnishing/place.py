@@ -131,7 +131,7 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
 
 
 def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
-    """Rectangle along a wall that extends ``depth`` into the room."""
+    """Return the rectangle along a wall that extends ``depth`` into the room."""
     x0, z0, x1, z1 = interior
     if side == 0:
         return low, z0, high, z0 + depth
@@ -153,12 +153,12 @@ def side_depth(interior: Rect, side: int) -> float:
 
 
 def turned(quarter: int, x: float, z: float) -> tuple[float, float]:
-    """(x, z) rotated by quarter turns about +y, which take +z to +x."""
+    """Rotate (x, z) by quarter turns about +y, which take +z to +x."""
     return ((x, z), (z, -x), (-x, -z), (-z, x))[quarter % 4]
 
 
 def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
-    """World (x, z) of the group frame's origin on a wall."""
+    """Return the world (x, z) of the group frame's origin on a wall."""
     return ((u, interior[1]), (interior[0], u), (u, interior[3]), (interior[2], u))[side]
 
 

@@ -23,7 +23,7 @@ from h3data_homes.style import Style
 
 @cache
 def extent(kind: Kind) -> NDArray[np.float64]:
-    """Bounding box of a kind's parts at scale 1, shape [2, 3] [m]."""
+    """Return the bounding box of a kind's parts at scale 1, shape [2, 3] [m]."""
     mesh = MeshBuilder()
     for part in model_of(kind).parts:
         solids.add(mesh, part, (128, 128, 128), np.ones(3))
@@ -54,7 +54,7 @@ class KindBuilder(MeshBuilder):
         self._later = kind_parts, seed, style, scale
 
     def mesh(self) -> Mesh:
-        """Mesh of the model, built at the first call."""
+        """Return the mesh of the model, built at the first call."""
         if self._mesh is None:
             parts, seed, style, scale = self._later
             color = colours_of(np.random.default_rng(seed), style)

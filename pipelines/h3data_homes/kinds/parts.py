@@ -116,7 +116,7 @@ def leaves(
 
 
 def legs(color: Paint, half_x: float, half_z: float, top: float, thick: float = 0.04) -> tuple[Part, ...]:
-    """Four square legs."""
+    """Return the parts of four square legs."""
     return tuple(box(color, sx * half_x, 0, sz * half_z, thick, top, thick) for sx in (-1, 1) for sz in (-1, 1))
 
 

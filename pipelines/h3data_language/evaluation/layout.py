@@ -146,7 +146,7 @@ class Layout(msgspec.Struct, frozen=True):
 
 
 def owner_of(scene: Scene, name: str) -> str:
-    """The thing that a part belongs to: a drawer to its cabinet, a link of an articulated object of Habitat's to the object."""
+    """Return the thing that a part belongs to: the cabinet of a drawer, or Habitat's articulated object of a link."""
     for thing in scene.articulations:
         if any(name in part.instances for part in thing.parts):
             name = thing.base or thing.name

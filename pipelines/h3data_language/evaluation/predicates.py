@@ -60,7 +60,7 @@ class Rows:
         return replace(self, poses=self.poses[new], held=self.held[new], states=states), np.cumsum(new) - 1
 
     def box(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Center and half extents [T or 1, 3] of the box around a thing or a piece of furniture, along the world's axes."""
+        """Return center and half extents [T or 1, 3] of the box around a thing or piece of furniture, along the world axes."""
         if name not in self._boxes:
             fixed = self.layout.furniture.get(name)
             if fixed is not None:
@@ -73,7 +73,7 @@ class Rows:
         return self._boxes[name]
 
     def corners(self, name: str) -> NDArray[np.float64]:
-        """Corners and center of a thing's box in the world [T, 9, 3]."""
+        """Return the corners and center of a thing's box in the world [T, 9, 3]."""
         center, half = self.box(name)
         return center[:, None] + _CORNERS * half[:, None]
 
@@ -180,7 +180,7 @@ def members_of(p: Proposition) -> list[str]:
 
 
 def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Rows in which some group of things next to each other has enough of each list [T], and the largest such group [T, N].
+    """Return rows in which some group of neighbouring things has enough of each list [T], and the largest such group [T, N].
 
     Raises:
         InputError: a thing does not exist.

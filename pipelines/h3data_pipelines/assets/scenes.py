@@ -514,7 +514,7 @@ def _png(path: Path, *, force: bool) -> Path:
 
 
 def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """View of a person who stands in a room, RGB [H, W, 3]."""
+    """Render the view of a person who stands in a room, RGB [H, W, 3]."""
     from h3data.render.renderer import Renderer
     from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 

@@ -127,7 +127,7 @@ class Benchmark:
 
 
 def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:
-    """Number, scene, seed and identity of each episode: the entries of ``episodes.json``."""
+    """Yield number, scene, seed and identity of each episode: the entries of ``episodes.json``."""
     for job in jobs:
         base = job.base
         yield {
@@ -139,7 +139,7 @@ def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:
 
 
 def benchmark_labels() -> tuple[str, ...]:
-    """Names and versions of the benchmarks that ship with the package."""
+    """Return names and versions of the benchmarks that ship with the package."""
     return tuple(sorted(path.parent.name for path in (builtin_root() / FOLDER).glob(f"*/{DEFINITION}")))
 
 

@@ -171,7 +171,7 @@ def row_label(row: ResultRow) -> str:
 
 
 def cell_text(row: ResultRow, metric: str) -> str:
-    """``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
+    """Return text such as ``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
     cell = row.metrics.get(metric, {})
     mean, low, high = (cell.get(name) for name in ("mean", "low", "high"))
     if mean is None:
@@ -217,7 +217,7 @@ def result_files(folder: Path) -> list[str]:
 
 
 def this_machine() -> dict[str, str]:
-    """Processor, system and versions that a result names."""
+    """Return the processor, system and versions that a result names."""
     from h3data_pipelines.machine.bench import hardware_name
 
     return {

@@ -201,7 +201,7 @@ def _spread(numbers: Sequence[float] | Iterable[float]) -> Spread | None:
 
 
 def predicates_of(episode: RearrangeEpisode) -> list[str]:
-    """Function of each proposition of an episode; none if it is not PARTNR's."""
+    """Return the function of each proposition of an episode; none if it is not PARTNR's."""
     listed = episode.extra.get(PROPOSITIONS)
     if not isinstance(listed, list):
         return []

@@ -343,7 +343,10 @@ def step_source(dataset: DatasetFolder) -> pads.Dataset:
 
 
 def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
-    """All records with their ``episode_index``: ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``."""
+    """Return all records with their ``episode_index``.
+
+    ``kind`` is ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``.
+    """
     schema = record_schema(SIDECARS[kind])
     tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
     return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")

@@ -35,7 +35,7 @@ def core_count() -> int:
 
 @contextmanager
 def local_processes(address: str, workers: int) -> Iterator[Processes]:
-    """The executor ``local``; it has no address."""
+    """Run the block with the executor ``local``, which has no address."""
     yield Processes(workers)
 
 

@@ -58,7 +58,7 @@ class Origin:
         return cls(source_digest(), packages, os.getcwd())
 
     def to_json(self) -> str:
-        """JSON of all fields; the inverse of `from_json`."""
+        """Encode all fields as JSON; the inverse of `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -69,7 +69,7 @@ class Origin:
 
 @functools.cache
 def source_digest() -> str:
-    """SHA-256 (hex) of all source files of h3data: the same version with an edited file is another."""
+    """Return the SHA-256 (hex) of all source files of h3data, which differs after any edit."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         spec = find_spec(package)
@@ -81,7 +81,7 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """Work on a shard in a worker.
+    """Carry out the work on a shard in a worker.
 
     Returns:
         ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or

@@ -25,7 +25,7 @@ def files_of(root: Path) -> list[str]:
 
 
 def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of files by their path below ``root``."""
+    """Return the SHA-256 of files by their path below ``root``."""
     return {name: file_sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
 
 
@@ -65,7 +65,7 @@ def require_checksums(root: Path) -> int:
 
 
 def file_sha256(path: AnyPath) -> str:
-    """SHA-256 of a file, also of one in an object store, read in blocks."""
+    """Return the SHA-256 of a file, also of one in an object store, read in blocks."""
     digest = hashlib.sha256()
     with open_binary(path) as stream:
         while block := stream.read(_BLOCK):

@@ -29,7 +29,7 @@ def checked_repo(repo: str) -> str:
 
 
 def hub_api() -> Any:
-    """`huggingface_hub.HfApi` for the server that ``HF_ENDPOINT`` names.
+    """Return the `huggingface_hub.HfApi` for the server that ``HF_ENDPOINT`` names.
 
     Raises:
         MissingExtraError: the extra ``hub`` is not installed.

@@ -94,7 +94,7 @@ class Job:
         return find_task(self.task)
 
     def episode(self) -> Episode:
-        """Scene, starts and rules, ready to run."""
+        """Return the episode with scene, starts and rules, ready to run."""
         from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
         from sim_kinematic.tasks.codec import EpisodePlace
@@ -177,7 +177,7 @@ class Choices:
         return find_task(self.task)
 
     def spec(self, base: Any = None) -> Any:
-        """Rules: ``base`` (default: the task's) with the changes that the user asks for."""
+        """Return the rules: ``base`` (default: the task's) with the changes that the user asks for."""
         from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = dataset_rules(self.found_task) if base is None else base
@@ -372,14 +372,14 @@ def scenes_of(jobs: Sequence[Job]) -> list[str]:
 
 
 def most_steps(jobs: Sequence[Job]) -> int:
-    """Steps that the episodes have together if each is as long as its rules allow."""
+    """Return the total number of steps of the episodes if each is as long as its rules allow."""
     if isinstance(jobs, SampledJobs):
         return len(jobs) * jobs[0].spec.max_steps
     return sum(job.spec.max_steps for job in jobs)
 
 
 def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
-    """The first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
+    """Yield the first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i, "" if seed else task)
         origin = {

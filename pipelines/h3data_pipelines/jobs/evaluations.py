@@ -121,7 +121,7 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
 
 
 def episode_uid(task: Task, episode: Episode) -> str:
-    """Identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
+    """Return the identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
     from sim_kinematic.policies.assignment import AssignedPolicy
 
     return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
@@ -142,7 +142,7 @@ def check_identity(task: Task, episode: Episode, uid: str) -> None:
 
 
 def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
-    """A dataset that appears under its name when it is complete; none of no recordings."""
+    """Write recordings as a dataset that gets its name when it is complete; nothing without recordings."""
     from h3data.recording import DatasetWriter
 
     part = folder.with_name(f".{folder.name}.part")

@@ -59,7 +59,7 @@ def is_failed(recording: Recording) -> bool:
 
 
 def beside(failed: Recording, played: Recording) -> Recording:
-    """A failed episode as a dataset holds it that has ``played`` too: the same agents, roles and columns, without rows."""
+    """Return a failed episode without rows, with the agents, roles and columns of ``played``, for the same dataset."""
     columns = {name: array[:0] for name, array in played.columns.items()}
     nowhere = np.full(7, np.nan, np.float32)
     moving = columns["object_pose"].shape[1] if "object_pose" in columns else 0

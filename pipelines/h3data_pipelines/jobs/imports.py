@@ -131,7 +131,7 @@ def _is_imported(recording: Recording, target: Path) -> bool:
 
 
 def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
-    """Counts of a recording, and which of its asset files are missing below the library's roots."""
+    """Count a recording's contents, and list its asset files that are missing below the library's roots."""
     missing = Replay(recording, assets=library).missing
     info = recording.episode.info
     return {

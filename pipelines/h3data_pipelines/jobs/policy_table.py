@@ -29,7 +29,7 @@ class PolicyTable:
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Measured rows with intervals, followed by published ones; a sentence if there are no results."""
+        """Return the measured rows with intervals, followed by published ones; a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         shown = self._columns()

@@ -114,7 +114,7 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
 
 
 def film_jobs(jobs: Sequence[Job], *, filming: VideoJob, executor: Executor) -> Generator[RenderedVideo]:
-    """Recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
+    """Yield recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
     yield from executor.run(
         partial(film_job, filming=filming),
         jobs,

@@ -47,7 +47,7 @@ class SkillEvaluationResult:
     new: int
 
     def summary(self) -> list[dict[str, Any]]:
-        """Success with its interval, steps, and why the others failed, by skill."""
+        """Return the success rate with its interval, the steps and the reasons of failures of each skill."""
         from h3data.stats import wilson_interval
 
         found = []

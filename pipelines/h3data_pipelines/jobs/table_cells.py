@@ -60,7 +60,7 @@ class SeedsSummary:
         return float(self.means.std(ddof=1)) if len(self.means) > 1 else float("nan")
 
     def to_text(self, *, factor: float = 1.0, digits: int = 2) -> str:
-        """``0.95 ± 0.01``; ``-`` if no policy has a mean."""
+        """Return text such as ``0.95 ± 0.01``; ``-`` if no policy has a mean."""
         if not len(self.means):
             return "-"
         spread = f" ± {factor * self.deviation:.{digits}f}" if self.deviation == self.deviation else ""

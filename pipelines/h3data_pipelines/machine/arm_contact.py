@@ -53,7 +53,7 @@ class ArmContact:
         shapes: Sequence[Shape] = (),
         held_pose: ArrayLike | None = None,
     ) -> list[ArmTouch]:
-        """Present contacts, deepest first, at most one for each part and thing.
+        """Return present contacts, deepest first, at most one for each part and thing.
 
         Args:
             base_pose: The robot's root, pose7 [7].

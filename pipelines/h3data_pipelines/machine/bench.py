@@ -184,7 +184,7 @@ class Pool:
 
 @contextmanager
 def process_pool(size: int) -> Iterator[Pool]:
-    """A `Pool` whose processes end with the block."""
+    """Start a `Pool`, whose processes end with the block."""
     pool = Pool(size)
     try:
         yield pool
@@ -224,7 +224,10 @@ def _run_share(
 def measure(
     cell: Cell, pool: Pool, *, runs: int, steps: int, backend: Literal["cpu", "gpu"] = "cpu", seed: int = 0
 ) -> dict[str, Any]:
-    """A row of the table: the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], the paper's.
+    """Measure a row of the table.
+
+    It has the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], and the paper's
+    figure.
 
     The frames per second of a run are worlds x timed steps / mean time of the processes, as in Habitat's script.
     """

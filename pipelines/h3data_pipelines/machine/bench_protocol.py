@@ -119,14 +119,14 @@ class BenchmarkWorlds:
 
     # --- running ----------------------------------------------------------------------------------------------------------
     def reset(self, rng: np.random.Generator) -> None:
-        """Everybody at random free places, the objects where they lie in the home."""
+        """Place all agents at random free places, and the objects where they lie in the home."""
         self.state.object_pose[:] = [i.pose for i in self._loose]
         self.state.held_by[:] = NOBODY
         for agent in self.agents:
             agent.reset(rng)
 
     def sample(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """Random actions of each agent in all worlds."""
+        """Sample actions of each agent in all worlds."""
         return [agent.sample(rng, self.cell.action) for agent in self.agents]
 
     def step(self, actions: list[np.ndarray]) -> Any:
@@ -168,7 +168,7 @@ class BenchmarkWorlds:
         return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:
-        """Time ``steps`` random steps but the first ``untimed``. Sampling actions is not timed, nor is the reset."""
+        """Measure the time of ``steps`` random steps but the first ``untimed``, without sampling of actions and reset."""
         if not 0 <= untimed < steps:
             raise InputError(
                 f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",

@@ -41,7 +41,7 @@ class Cache:
         return sum(path.stat().st_size for path in self.files if path.exists())
 
     def row(self) -> dict[str, Any]:
-        """Contents, size and folder of the cache, for JSON."""
+        """Return the contents, size and folder of the cache, for JSON."""
         folder = None if self.folder is None else str(self.folder)
         return {"holds": self.holds, "bytes": self.bytes, "files": len(self.files), "folder": folder}
 
@@ -52,7 +52,7 @@ def find_caches() -> list[Cache]:
 
 
 def cache_lines(caches: list[Cache]) -> list[str]:
-    """Caches as a table for people."""
+    """Return the caches as lines of a table."""
     return [
         f"  {cache.name:<10} {size_text(cache.bytes):>9}  {cache.holds}{f': {cache.folder}' if cache.folder else ''}"
         for cache in caches

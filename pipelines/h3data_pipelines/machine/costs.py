@@ -50,7 +50,7 @@ class Costs:
 
     @classmethod
     def from_json(cls, values: Any) -> Costs:
-        """Costs as ``h3data plan --measure --json`` prints them.
+        """Read costs as ``h3data plan --measure --json`` prints them.
 
         Raises:
             InputError: they are something else.

@@ -71,7 +71,7 @@ class Penetration(NamedTuple):
 
 
 def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
-    """Penetration of all agents drawn by built-in bodies, at each so many-th step.
+    """Measure the penetration of all agents with built-in bodies, at every n-th step.
 
     A robot stands on what lies on the floor, up to `FLOOR_M`; people have no such allowance, but floors have no shapes.
 

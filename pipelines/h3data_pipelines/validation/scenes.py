@@ -71,7 +71,7 @@ def free_space_for_validation(scene: Scene, *, radius_m: float = 0.25, height_m:
 
 
 def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> list[Problem]:
-    """Faults of a scene's floor, its receptacles and the objects on them, in that order.
+    """Find faults of a scene's floor, its receptacles and the objects on them, in that order.
 
     Args:
         scene: The scene.
@@ -139,7 +139,7 @@ def _rooms(scene: Scene, main: BaseGeometry, loose: FreeSpace) -> Iterable[Probl
 
 
 def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Problem]:
-    """Passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
+    """Find passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
 
     ``loose`` is the free area for a disc of r - 2.5 cm. A tight passage is a part of it that the wider disc (r + 5 cm)
     cannot enter, though the places on both sides are free for that disc. Niches with one entrance do not count.

@@ -57,7 +57,7 @@ class Rows:
         return np.fmax.reduceat(values, self.starts)
 
     def changes(self, values: NDArray[Any]) -> Array:
-        """Changes since the previous row of the episode [R, ...]; NaN in its first."""
+        """Return the changes since the previous row of the episode [R, ...]; NaN in its first."""
         changes = np.full(values.shape, np.nan)
         changes[1:] = np.diff(values, axis=0)
         changes[self.starts] = np.nan

@@ -281,7 +281,10 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return {"is_success": self._succeeded}
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Picture of the agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        """Return a picture of the agent and its surroundings from obliquely above, uint8 [480, 640, 3].
+
+        It is None without a render mode.
+        """
         if self.render_mode is None:
             return None
         if self.play is None:

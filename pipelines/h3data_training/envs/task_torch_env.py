@@ -43,7 +43,7 @@ EPISODES = 512
 
 
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
-    """Cameras of a robot's arm that observations need: that of depth and detector, then that of colours, where there is one."""
+    """Return the arm cameras that observations need: that of depth and detector, then that of colours, if there is one."""
     return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
 
 

@@ -209,7 +209,7 @@ class ChooserLearner:
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
-    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
+    """Compute generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
 
     ``counts`` are the numbers of decisions in each of E episodes.
     """

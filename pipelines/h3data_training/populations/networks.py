@@ -72,7 +72,7 @@ class Chooser(nn.Module):
             self.rest_1.bias.fill_(ASIDE)
 
     def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first.
+        """Return scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and initial states [B, H].
 
         ``pictures`` are roots of depth [T, B, H, W], of a policy that does not see [T, B, 0, 0].
         """
@@ -93,7 +93,7 @@ class Chooser(nn.Module):
         return scores + self.persist * interrupted, known
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.choosers.chooser_network.SkillPolicyNetwork` names its arrays, float32."""
+        """Return the actor's arrays, float32, by the names in `sim_kinematic.policies.choosers.chooser_network`."""
         named: dict[str, Tensor] = {"persist": self.persist}
         for name in ("object", "each_0", "each_1", "rest_0", "rest_1"):
             layer = getattr(self, name)

@@ -174,13 +174,13 @@ class _Sampler(RecurrentSkillPolicy):
 
 
 def log_softmax(scores: Array) -> Array:
-    """Logarithms of the probabilities of scores [C]; minus infinity stays what it is."""
+    """Return logarithms of the probabilities of scores [C]; minus infinity stays as it is."""
     shifted = scores - scores.max()
     return shifted - np.log(np.exp(shifted).sum())
 
 
 def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Array, NDArray[np.int64]]:
-    """Discounted reward between each decision and the next one [D], and the number of steps between them.
+    """Return the discounted reward between each decision and the next one [D], and the number of steps between them.
 
     Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;
     all but the last of them then have no reward.

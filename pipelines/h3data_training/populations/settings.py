@@ -195,7 +195,7 @@ class PopulationSettings:
         return self.partners[int(order[place])]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as they stand in checkpoints and cards."""
+        """Return the settings as plain values, as in checkpoints and cards."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def in_worlds(self, worlds: int) -> PopulationSettings:

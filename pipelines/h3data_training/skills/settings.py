@@ -116,7 +116,7 @@ class SkillSettings(Settings):
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings by name, without those that skills do not use."""
+        """Return the settings by name, without those that skills do not use."""
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
 

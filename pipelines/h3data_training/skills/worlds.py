@@ -121,7 +121,7 @@ class ActionRepeatSkills(ActionRepeat):
         ]
 
     def taught(self) -> Tensor:
-        """Actions of the scripted teacher in these states, [W, A]."""
+        """Return the actions of the scripted teacher in these states, [W, A]."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 

@@ -125,7 +125,7 @@ class TensorCameras:
         *,
         place: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """`pose`, then `picture` of all views, each [views, W, H, W', ...]."""
+        """Return the `picture` of all views after `pose`, each [views, W, H, W', ...]."""
         self.pose(robot, human, place=place)
         return self._taken(self.views, outputs)
 
@@ -181,7 +181,7 @@ def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuSc
 
 
 def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInstance], range]:
-    """Meshes and instances of a home with a robot in it, and the numbers of the robot's links among the instances."""
+    """Return the meshes and instances of a home with a robot in it, and the instance numbers of the robot's links."""
     home = render_scene(scene)
     links = [link for link in robot.links if link.mesh is not None]
     first, ids = len(home.instances), {i.name: i.semantic_id for i in scene.instances}
@@ -195,7 +195,7 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
 
 
 def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
-    """World matrices [W, N, 3, 4] of frames in agents.
+    """Return the world matrices [W, N, 3, 4] of frames in agents.
 
     Frames are [N, 3, 4] or [W, N, 3, 4], agents at [W, 2] with headings [W], and floors of one height or of one for
     each world [W]. No matrix product is used, which a GPU might compute with 10 bits.

@@ -130,7 +130,7 @@ class Sample(NamedTuple):
 
 
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
-    """Signed distance and its gradient at points, bilinear.
+    """Return the signed distance and its gradient at points, bilinear.
 
     Outside of the grid it is the value at the border minus the distance to it (`h3data.scene.freespace._sdf`).
     """
@@ -151,7 +151,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def heading_direction(heading: Tensor) -> Tensor:
-    """Forward (x, z) of headings [...], [..., 2]."""
+    """Return the forward direction (x, z) [..., 2] of headings [...]."""
     return torch.stack([heading.cos(), -heading.sin()], -1)
 
 
@@ -164,7 +164,7 @@ def least_clearance(grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequen
 def push_out(
     grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequence[float], radius: float, iterations: int
 ) -> Tensor:
-    """Base positions [..., 2] moved until their discs, if possible, keep their radius. Who is free stays."""
+    """Move base positions [..., 2] until their discs, if possible, keep their radius. Free bases stay where they are."""
     for _ in range(iterations):
         for offset in offsets:
             distance, slope = sample_sdf(grids, torch.add(xz, direction, alpha=offset) if offset else xz)
@@ -284,7 +284,10 @@ def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) 
 
 
 def walk_humans(person: HumanTensors, goal_xz: Tensor, spec: WalkerSpec, *, dt: float = STEP_S) -> HumanTensors:
-    """Humanoids [W, ...] one step straight towards their way points [W, 2]. They turn on the spot first, never overshoot."""
+    """Move humanoids [W, ...] one step straight towards their waypoints [W, 2].
+
+    They turn on the spot first, and never overshoot.
+    """
     xz, heading = person.xz, person.heading
     gap = goal_xz - xz
     away = torch.hypot(gap[:, 0], gap[:, 1])

@@ -71,7 +71,7 @@ class Play(NamedTuple):
 
     @classmethod
     def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:
@@ -149,11 +149,14 @@ class TensorWorld(NamedTuple):
         return self.floor_y
 
     def clearance(self, points: Tensor) -> Tensor:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return clearance(self.grids, points)
 
     def free_along(self, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
-        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        """Return the distance [W, R] [m] from places [W, 2] along headings [W, R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         return free_along(self.grids, xz, headings, max_m)
 
     def circles(self, agent: int, *, legs: bool = False) -> Tensor:
@@ -169,7 +172,7 @@ class TensorWorld(NamedTuple):
         return torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1)
 
     def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
-        """World points [W, n, 3] in the agent root frames of agents."""
+        """Transform world points [W, n, 3] into the agent root frames of agents."""
         seen = in_base_frame(own.xz[:, None], own.heading[:, None], points[..., 0:3:2], xp=torch)
         return torch.stack([seen[..., 0], points[..., 1] - self.floor_y[:, None], -seen[..., 1]], -1)
 
@@ -267,7 +270,7 @@ class TaskTensors:
         return self._place[play.episode]
 
     def world(self, play: Play) -> TensorWorld:
-        """Agents and floors."""
+        """Return the agents and floors."""
         start, place = self._starts[play.episode], self.place_of(play)
         return TensorWorld(
             worlds=len(play.steps),
@@ -306,7 +309,7 @@ class TaskTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def before_the_first(self, episode: Tensor) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         play = Play.before_the_first(episode.to(self.device), self.dtype, {})
         return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
 
@@ -368,7 +371,7 @@ class TaskTensors:
         }
 
     def succeeded(self, play: Play) -> Tensor:
-        """Worlds whose last step was judged a success, bool [W]."""
+        """Return the worlds whose last step was judged a success, bool [W]."""
         return play.memory["success"]
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
@@ -383,7 +386,7 @@ class TaskTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def context(self, play: Play) -> SensorContext:
-        """Context from which the robot's sensors compute observations."""
+        """Return the context from which the robot's sensors compute observations."""
         world: Any = self.world(play)
 
         def path() -> tuple[Tensor, Tensor]:
@@ -405,7 +408,7 @@ class TaskTensors:
 
     # --- whether the task is for arrays of any namespace --------------------------------------------------------------
     def check_functions(self, names: Sequence[str], worlds: int = 2) -> None:
-        """Calls `Task.begin`, `Task.judge` and the named sensors with tensors without data.
+        """Call `Task.begin`, `Task.judge` and the named sensors with tensors without data.
 
         Whatever waits for the device, needs NumPy or what no device has, fails.
 
@@ -451,7 +454,7 @@ def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
 
 @contextmanager
 def in_words(which: str) -> Iterator[None]:
-    """Faults of a task's function as one sentence."""
+    """Raise errors of a task's function, in this block, as one sentence."""
     try:
         yield
     except H3DataError:

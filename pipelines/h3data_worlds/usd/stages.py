@@ -86,7 +86,7 @@ class OpenStage:
         return self.metres * (np.asarray(points, np.float64) @ self.turn[:3, :3].T)
 
     def directions(self, vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Directions [N, 3] of a frame of the stage in that frame with +Y up."""
+        """Return the directions [N, 3] of a frame of the stage in that frame with +Y up."""
         return np.asarray(vectors, np.float64) @ self.turn[:3, :3].T
 
 

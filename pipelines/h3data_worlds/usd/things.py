@@ -55,7 +55,7 @@ class Thing:
 
 
 def records_of(prim: Any) -> Mapping[str, Any]:
-    """Our record at a prim; empty if it has none.
+    """Return h3data's record at a prim; empty if it has none.
 
     Raises:
         FormatError: it is not JSON.

@@ -56,7 +56,7 @@ class ObjectRoom:
         ]
 
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
-        """Reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
+        """Return the reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
 
         It is ``no_space`` or ``no_support``; empty if the object can be put down.
         """
@@ -116,14 +116,14 @@ class ObjectRoom:
 
 
 def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
-    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    """Return the radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
     # the origin need not be in the middle of the thing
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
 
 
 def grip_radii(scene: Scene, names: Sequence[str]) -> dict[str, float]:
-    """Radii of the grips by which hands hold objects, by name of the instance [m].
+    """Return the radii of the grips by which hands hold objects, by name of the instance [m].
 
     A hand grips books and plates by their thinnest side, so their radius is half of it; for cups and balls it is the
     radius of the object.

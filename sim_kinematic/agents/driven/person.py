@@ -99,7 +99,7 @@ class DrivenPerson(PersonActor):
 
     # --- what it can do -----------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now, empty if it is possible; direct control always is."""
+        """Return the reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
         if skill == CONTROL:
             return ""

@@ -54,7 +54,7 @@ class RoomDoors:
         return bool((side > 0).any()), bool((side < 0).any())
 
     def crossed(self, path: Array, positions: Array, radius_m: float) -> list[int]:
-        """The doors, not open with the joints of the home at ``positions`` [J], by which a path [N, 2] leads, in its order."""
+        """Return doors that a path [N, 2] crosses, in its order, and that are not open with the joints at ``positions`` [J]."""
         shares = joints_of(self.scene).shares(positions)
         if len(path) < 2:
             return []

@@ -90,7 +90,7 @@ class ArticulatedParts:
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:
-        """World points [..., J, 3] of all handles with the joints at ``positions`` [..., J]."""
+        """Return the world points [..., J, 3] of all handles with the joints at ``positions`` [..., J]."""
         motions = self.joints.motions(positions)
         return np.einsum("...jab,jb->...ja", motions[..., :3, :3], self._handles) + motions[..., :3, 3]
 
@@ -194,7 +194,7 @@ class ArticulatedParts:
 
     # --- what is in the way ---------------------------------------------------------------------------------------------
     def points(self, k: int, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points [P, 3] all over what a joint moves, at positions [T] of it, up to `OPENING.tall_m`."""
+        """Return world points [P, 3] on all that a joint moves, at its positions [T], up to `OPENING.tall_m`."""
         positions = np.tile(self.positions, (len(way), 1))
         positions[:, k] = way
         motions = self.joints.motions(positions)

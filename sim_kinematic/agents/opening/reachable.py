@@ -37,7 +37,7 @@ def is_drawer(scene: Scene, instance: Instance) -> bool:
 
 
 def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | None:
-    """World point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
+    """Return a world point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
 
     Returns None if they cannot be opened.
     """

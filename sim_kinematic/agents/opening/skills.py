@@ -37,7 +37,7 @@ def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> s
 
 
 def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
-    """World points [T, 3] of a handle with its joint at positions [T]."""
+    """Return the world points [T, 3] of a handle with its joint at positions [T]."""
     positions = np.tile(openables.positions, (len(way), 1))
     positions[:, k] = way
     return openables.handles(positions)[:, k]

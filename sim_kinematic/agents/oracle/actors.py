@@ -96,7 +96,7 @@ class OracleRobot(RobotActor):
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
@@ -140,7 +140,7 @@ class OracleRobot(RobotActor):
         return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
-        """The object is in the hand, and keeps its direction."""
+        """Take the object into the hand, in which it keeps its direction."""
         hand, pose = self.hand_pose, self.objects.poses[k]
         turn = pose_multiply(pose_inverse(hand), np.append(hand[:3], pose[3:]))
         self.objects.state.grip_pose[0, k] = turn
@@ -161,7 +161,7 @@ class OraclePerson(PersonActor):
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
+        """Return the reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
@@ -282,7 +282,7 @@ class DiscContacts(GivingWay):
     """Contact rule of agents that give way to nobody and touch where their discs do."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Constant False: with oracle skills no agent gives way to another."""
+        """Return False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

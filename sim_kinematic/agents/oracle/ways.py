@@ -54,7 +54,7 @@ class FloorCells:
     @classmethod
     @lru_cache(maxsize=64)
     def of(cls, free: FreeSpace) -> FloorCells:
-        """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
+        """Return the cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
         # one cell more, as the first begins half a cell before the border
         shape = int(np.ceil((x1 - x0) / CELL_M)) + 1, int(np.ceil((z1 - z0) / CELL_M)) + 1

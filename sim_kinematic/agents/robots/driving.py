@@ -180,7 +180,7 @@ class RobotDriver:
         self.free = free
 
     def idle(self) -> None:
-        """Stands still for one step."""
+        """Stand still for one step."""
         self._step(0.0, 0.0)
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
@@ -234,7 +234,7 @@ class RobotDriver:
         self._step(forward, self._turn(error), towards)
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
-        """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
+        """Drive to within a distance of a floor point [2] and turn there until the hand points at ``facing`` [2].
 
         The base gives way, backs out of narrow places and goes around whoever stands in its path; it fails, ``stuck``, after
         `STUCK_STEPS` without getting on, or, ``blocked``, where it is turned away.

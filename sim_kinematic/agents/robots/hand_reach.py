@@ -56,7 +56,7 @@ class ReachPostures(NamedTuple):
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
-    """Finds postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
+    """Find postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
     if len(robot.require_arm()) >= HAND_REACH.all_directions:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
         return ReachPostures(answer.joint_pos, answer.reached)
@@ -68,7 +68,7 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:
-    """Returns whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
+    """Return whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
 
     It is if it is farther from the shoulder than all links of the arm stretched out. `reach_posture` takes 2 ms to find
     this out, because it tries every starting posture; learning policies ask all the time.
@@ -130,7 +130,7 @@ def _travel(robot: Robot, link: int) -> float:
 
 @lru_cache(maxsize=256)
 def hand_turn(robot: Robot) -> Array:
-    """Returns the rotation (quaternion) of the hand's link in the agent root frame for what lies in its reach direction."""
+    """Return the rotation (quaternion) of the hand's link in the agent root frame, for a target in its reach direction."""
     c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     # columns are the axes of the hand, ahead, left and up, in the agent root frame
@@ -139,7 +139,7 @@ def hand_turn(robot: Robot) -> Array:
 
 
 def reach_bearing(robot: Robot) -> float:
-    """Direction in which a robot reaches for things [rad], to the left of its forward axis.
+    """Return the direction in which a robot reaches for things [rad], to the left of its forward axis.
 
     It is the robot's own setting, otherwise the first of `HAND_REACH.bearings_rad` in which the arm reaches anything,
     otherwise 0.
@@ -164,7 +164,7 @@ def aimed(robot: Robot, aside_rad: float) -> Robot:
 
 @lru_cache(maxsize=1024)
 def reach_distances(robot: Robot, height_m: float) -> Array:
-    """Distances [D] [m] from the robot's root at which its hand reaches points ``height_m`` above the floor.
+    """Return the distances [D] [m] from the robot's root at which its hand reaches points ``height_m`` above the floor.
 
     They lie along the robot's reach direction. A distance counts only if both its neighbours are reachable too, since a
     base does not stand to the millimetre. Results are cached, as objects lie on few different heights.
@@ -176,7 +176,7 @@ def reach_distances(robot: Robot, height_m: float) -> Array:
 
 
 def hand_target(robot: Robot, distance_m: float, height_m: float) -> Array:
-    """Returns the pose7 of the hand, in the agent root frame, for a point at a distance in the reach direction."""
+    """Return the pose7 of the hand, in the agent root frame, for a point at a distance in the reach direction."""
     bearing = reach_bearing(robot)
     x, z = (distance_m, 0.0) if bearing == 0 else (distance_m * np.cos(bearing), -distance_m * np.sin(bearing))
     return np.array([x, height_m, z, *hand_turn(robot)])

@@ -44,7 +44,7 @@ ARM_OUT_M = 0.05
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
-    """Returns a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
+    """Return a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
 
     Raises:
         InputError: It has another length or is not finite, or the robot has no arm.
@@ -70,7 +70,7 @@ class RobotActor(RobotDriver):
     """Learned skills that replace the robot's own, by name."""
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         why = self.objects.why_not(self.number, action)
         if not why and self.openables is not None:
             why = self._barred(self.openables, action)
@@ -98,7 +98,7 @@ class RobotActor(RobotDriver):
         return ""
 
     def start(self, action: Action) -> Skill:
-        """Begins a scripted or learned skill."""
+        """Begin a scripted or learned skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -139,7 +139,7 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def obey(self, command: Array, towards: NDArray) -> None:
-        """Moves one step by the command of a learned skill.
+        """Move one step by the command of a learned skill.
 
         Args:
             command: base velocity [2] alone, or followed by arm joints [n] and grip [1], in -1..1. The base gives way to other
@@ -159,7 +159,7 @@ class RobotActor(RobotDriver):
             grip_objects(self.objects.state, hand, np.asarray(command[-1:], np.float64), rules, agent=self.number)
 
     def step_aside(self) -> None:
-        """Goes one step out of another agent's way."""
+        """Drive one step out of another agent's path."""
         self._step_aside()
 
     def open_stand(self, point: NDArray) -> Array | None:
@@ -209,7 +209,7 @@ class RobotActor(RobotDriver):
         return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
-        """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
         free, base = free or self.free, base or self.base
         known = free, base, island_of(free, self.xz), point.tobytes()
         if known not in self._stands:
@@ -217,7 +217,7 @@ class RobotActor(RobotDriver):
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Stands on the floor ``free``."""
+        """Return stands on the floor ``free``."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:

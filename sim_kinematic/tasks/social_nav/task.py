@@ -256,7 +256,7 @@ class SocialNav(Task):
         return [(0, event) for event in events]
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Distance, success, steps followed and contacts of each world, [W] each."""
+        """Return the distance, success, steps followed and contacts of each world, [W] each."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
         return {

@@ -19,12 +19,12 @@ class RearrangeApp(App):
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
 
     def hud(self, number: int) -> Hud:
-        """Instruction, time left, and the number of things at their goals."""
+        """Return the instruction, the time left, and the number of things at their goals."""
         done = int(self.session.play.team.at_goal.sum())  # type: ignore[attr-defined]
         words = str(self.session.recorder.header.episode.info["instruction"])
         lines = (f"{done} of {len(self.goals())} things are where they belong.",)
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=lines)
 
     def label(self, name: str) -> str:
-        """Name of an object in words."""
+        """Return the name of an object in words."""
         return spoken(name) or "thing"

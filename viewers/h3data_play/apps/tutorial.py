@@ -52,7 +52,7 @@ class TutorialApp(RearrangeApp):
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
-        """Starts a session in which no player has done a step of the tutorial."""
+        """Start a session in which no player has done a step of the tutorial."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.marks: dict[int, Array] = {}
@@ -66,7 +66,7 @@ class TutorialApp(RearrangeApp):
         return driver
 
     def refusal(self, number: int, message: Act) -> str:
-        """Request to do the earlier steps first, for a player who takes or places something too early."""
+        """Return the request to do earlier steps first, for a player who takes or places something too early."""
         step = self.step_of(number)
         if step < TAKE and isinstance(message, Pick | Place | Drop | Give):
             first = (
@@ -76,7 +76,7 @@ class TutorialApp(RearrangeApp):
         return ""
 
     def step(self, result: StepResult) -> str:
-        """Notes which players have reached their mark or look at the object."""
+        """Note which players have reached their mark or look at the object."""
         for number, driver in self.drivers.items():
             xz, heading = driver.place
             step = self.step_of(number)
@@ -88,7 +88,7 @@ class TutorialApp(RearrangeApp):
         return super().step(result)
 
     def hud(self, number: int) -> Hud:
-        """Present step of the tutorial, and all steps as a list."""
+        """Return the present step of the tutorial, and all steps as a list."""
         current = self.step_of(number)
         thing, goal, go = self.thing, self.goals()[0].label, self._go(number)
         short = f"{go} to the white ring", f"Look at the {thing}", f"Take the {thing}", f"Put it on the {goal}"
@@ -107,13 +107,13 @@ class TutorialApp(RearrangeApp):
         return Hud(task=tasks[step], left_s=None, lines=tuple(lines), how=HOW.get(step, {}), marker=mark)
 
     def over(self, number: int) -> str:
-        """Text at the end: praise if the tutorial is passed."""
+        """Return the text at the end: praise if the tutorial is passed."""
         if self.session.ended == "success":
             return "You have done all steps: you can walk, look, take things and put them where they belong."
         return super().over(number)
 
     def step_of(self, number: int) -> int:
-        """The step that the player of an agent is at; `PUT` + 1: all are done. A spectator sees the first player's."""
+        """Return the step that an agent's player is at; `PUT` + 1: all are done. A spectator sees the first player's."""
         number = number if number in self.drivers else next(iter(self.drivers), number)
         if not self.walked.get(number):
             return WALK

@@ -102,7 +102,7 @@ class StudyAnalysis:
     notes: tuple[str, ...]
 
     def to_text(self) -> str:
-        """Tables of means and contrasts, followed by the notes."""
+        """Return tables of means and contrasts, followed by the notes."""
         lines = [["condition", *(m.name for m in self.metrics), "episodes"]]
         for condition in self.conditions:
             cells = [_shown(m, self.estimates[m.name].get(condition, Estimate())) for m in self.metrics]
@@ -118,7 +118,7 @@ class StudyAnalysis:
         return "\n\n".join([*blocks, "\n".join(["Notes", *(f"  {note}" for note in self.notes)])])
 
     def to_dict(self) -> dict[str, object]:
-        """The analysis as JSON types; NaN becomes None."""
+        """Return the analysis as JSON types; NaN becomes None."""
         return {
             "participants": self.participants,
             "episodes": dict(self.episodes),
@@ -150,7 +150,7 @@ class StudyAnalysis:
 
 
 def study_layout(profile: Profile) -> StudyLayout:
-    """Returns how a profile's metrics are analysed: as it declares, else all of them, contrasting its steps, if it has any."""
+    """Return how a profile's metrics are analysed: as it declares, else all of them, contrasting its steps, if any."""
     if profile.report.study is not None:
         return profile.report.study
     names = profile.report.columns or tuple(m.name for m in profile.metrics)
@@ -161,7 +161,7 @@ def study_layout(profile: Profile) -> StudyLayout:
 def analyse_study(
     episodes: Sequence[EpisodeMetrics], profile: Profile, model: StudyModel | None = None
 ) -> StudyAnalysis:
-    """Analyses the episodes of participants under conditions.
+    """Analyse the episodes of participants under conditions.
 
     Args:
         episodes: Metrics with participant and condition; others are left out.
@@ -331,7 +331,7 @@ class _Analyser:
 
 
 def without_hint(note: str) -> str:
-    """A note of a fit without its hint to Python's users."""
+    """Return a note of a fit without its hint to users of Python."""
     return note.partition(" Hint:")[0]
 
 

@@ -40,7 +40,7 @@ def simulate_study(
     deviations: Mapping[Literal["participant", "scene", "observation"], float],
     seed: int = 0,
 ) -> dict[str, NDArray[Any]]:
-    """Returns the columns of `study_rows` and a ``response`` sampled from the mixed model.
+    """Return the columns of `study_rows` and a ``response`` sampled from the mixed model.
 
     Args:
         sessions: From `plan_sessions`.
@@ -93,7 +93,7 @@ def simulate_power(
     adjust: Adjustment = "tukey",
     seed: int = 0,
 ) -> tuple[Power, ...]:
-    """Returns the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
+    """Return the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
 
     Poisson models get the observation-level effect if the simulation has one. Takes 0.1 to 0.3 s per run.
     """

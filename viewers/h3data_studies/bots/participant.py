@@ -104,7 +104,7 @@ class ScriptedParticipant(Client):
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
-        """Answers to the items of the form that is next, at random where there is no right one."""
+        """Return answers to the items of the next form, at random where there is no right one."""
         chance = random.Random(f"{self.name}/{self.stage['form']}/{self.view['progress']['done']}")
         answers: dict[str, Any] = {}
         for item in self.stage["items"]:

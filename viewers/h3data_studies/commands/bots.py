@@ -58,7 +58,7 @@ class StudyBots:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Plays the study and returns how it went, with the size of the recordings."""
+        """Play the study and return how it went, with the size of the recordings."""
         from h3data_studies.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
         from h3data_studies.forms import right_answers
         from h3data_studies.pseudonyms import ANY

@@ -71,7 +71,7 @@ class StudyReport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Measures the study's recordings and writes the report."""
+        """Measure the study's recordings and write the report."""
         from h3data.metrics import find_profile, measure_files
         from h3data_studies.analysis import StudyModel, analyse_study
         from h3data_studies.answers import answer_rows, check_rows, form_means
@@ -167,7 +167,7 @@ class StudyCompare:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns a table of both rankings and their agreement."""
+        """Return a table of both rankings and their agreement."""
         from h3data_studies.analysis.ranks import rank_table
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
@@ -202,7 +202,7 @@ class StudyCompare:
 
 
 def finished(people: Sequence[Participant], *, everybody: bool) -> list[Participant]:
-    """Participants whose data count.
+    """Return participants whose data count.
 
     Raises:
         InputError: there are none.
@@ -222,7 +222,7 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
 def usable_recordings(
     folder: Path, design: Design, people: Sequence[Participant], rules: Exclusions
 ) -> tuple[list[Path], Counter[str]]:
-    """Recordings of participants whose episodes can be used, and why how many others are left out."""
+    """Return recordings of participants whose episodes can be used, and the number of others by reason."""
     from h3data_studies.overview import played
 
     reasons: dict[
@@ -290,7 +290,7 @@ def _rule_notes(design: Design, rules: Exclusions, people: Sequence[Participant]
 def trial_rows(
     folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics], rules: Exclusions
 ) -> list[list[str | float]]:
-    """A row for each episode that was played, used or not, with a header.
+    """Return a row for each episode that was played, used or not, with a header.
 
     ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
     ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. ``completed`` is the answer to the
@@ -365,7 +365,7 @@ def trial_rows(
 
 
 def write_rows(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
-    """A CSV file of rows, of which no spreadsheet runs a cell."""
+    """Write a CSV file of rows, of which no spreadsheet runs a cell."""
     with part_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
 

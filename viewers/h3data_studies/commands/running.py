@@ -53,7 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the example."""
+        """Write the example."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")
@@ -93,7 +93,7 @@ class StudyRun:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Serves the study until it is stopped, and returns its recordings."""
+        """Serve the study until it is stopped, and return its recordings."""
         from h3data_studies.files import make_plan, read_design, study_folder
 
         serving = serving_options(
@@ -150,7 +150,7 @@ class StudyRun:
 
 
 def keep_design(folder: Path, design: Design) -> Design:
-    """Stores the study file's content next to what is recorded under it.
+    """Store the study file's content next to what is recorded under it.
 
     The formats of ids may change at any time; a study that began without them continues without.
 
@@ -184,7 +184,7 @@ def keep_design(folder: Path, design: Design) -> Design:
 
 @contextmanager
 def running(folder: Path) -> Iterator[None]:
-    """Holds the folder of a study, so that only one process changes it.
+    """Lock the folder of a study in a block, so that only one process changes it.
 
     Raises:
         InputError: another one does.

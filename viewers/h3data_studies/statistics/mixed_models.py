@@ -82,7 +82,7 @@ class GlmmFit:
         return f"GlmmFit({self.formula!r}, {self.family}, {self.rows} rows, {state})"
 
     def to_text(self) -> str:
-        """A table of the coefficients with standard errors and of the deviations, followed by the notes."""
+        """Return a table of the coefficients with standard errors and of the deviations, followed by the notes."""
         state = "" if self.converged else "  NOT CONVERGED"
         lines = [f"{self.formula}   {self.family}, {self.rows} rows{state}", ""]
         width = max(map(len, (*self.fixed.names, *self.deviations)))
@@ -107,7 +107,7 @@ def fit_glmm(
     levels: Mapping[str, Sequence[str]] | None = None,
     observation_effect: bool = False,
 ) -> GlmmFit:
-    """Fits ``response ~ fixed + (1 | random[0]) + (1 | random[1]) + ...`` by maximum likelihood.
+    """Fit ``response ~ fixed + (1 | random[0]) + (1 | random[1]) + ...`` by maximum likelihood.
 
     Equivalent to lme4's ``glmer(..., nAGQ = 1)``: canonical links, penalised iteratively reweighted least squares for
     the random intercepts, Laplace's approximation of the likelihood, standard errors from the observed information.

@@ -42,7 +42,7 @@ def rank_agreement(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> RankAgreement:
-    """Correlates the ranks of the means of methods, with percentile bootstrap intervals.
+    """Correlate the ranks of the means of methods, with percentile bootstrap intervals.
 
     The bootstrap resamples the values of each method (episodes) in both evaluations; with few methods the coefficients take
     few values, and the interval is wide.

@@ -34,7 +34,10 @@ class StudyTables:
 
 
 def series_class(place: int) -> str:
-    """Class that colours run number ``place``; further runs share the eight colours, as in the macro ``legend``."""
+    """Return the class that colours run number ``place``.
+
+    Further runs share the eight colours, as in the macro ``legend``.
+    """
     return f"s{place % 8 + 1}"
 
 
@@ -161,7 +164,7 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
 
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
+    """Draw distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
     # with their numbers, so that each keeps its colour where others are left out
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:

@@ -25,7 +25,7 @@ def holds_results(root: Path) -> bool:
 
 
 def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
-    """Partners of the zero-shot population that all of these evaluations name.
+    """Return the partners of the zero-shot population that all of these evaluations name.
 
     The result is empty if they name none, or different ones, or a path is no evaluation.
     """
@@ -61,7 +61,10 @@ def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
 
 
 def population_beside(partner: str, task: str) -> str:
-    """``train``, ``zsc`` or empty, as `ReportEpisode.population`, for a partner that an evaluation played by name."""
+    """Return the population of a partner that an evaluation played by name: ``train``, ``zsc`` or empty.
+
+    It is the same as `ReportEpisode.population`.
+    """
     from sim_kinematic.policies.rearrange import population_of
 
     return population_of(partner).removesuffix("-pop") if task == REARRANGEMENT_PROFILE.tasks[0] else ""

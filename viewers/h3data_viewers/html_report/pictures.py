@@ -60,7 +60,7 @@ class Plan:
     """JPEG as a data URI, drawn pale, so that lines stand out; empty: nobody recorded the scene."""
 
     def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Coordinates on the plan of floor points [K, 2] [m]."""
+        """Return the coordinates on the plan of floor points [K, 2] [m]."""
         return (np.asarray(xz, np.float64) - self.origin) * self.scale
 
     def picture(self, alt: str, *, caption: str = "") -> Svg:
@@ -135,7 +135,9 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
 def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str]:
-    """Floor plans of the scenes with the most episodes, with the paths of robots (in the run's colour) and people (grey).
+    """Draw floor plans of the scenes with the most episodes, with the paths of agents.
+
+    Robots have the run's colour, people are grey.
 
     The text that is returned says which scenes these are and how many there are, if not all are shown.
     """

@@ -81,7 +81,7 @@ def linear(low: float, high: float, start: float, stop: float) -> Scale:
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Round numbers from ``low`` to ``high``, about ``count``."""
+    """Return round numbers from ``low`` to ``high``, about ``count``."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return [low] if math.isfinite(low) else []
     raw = (high - low) / max(count, 1)

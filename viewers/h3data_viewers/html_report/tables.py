@@ -135,7 +135,7 @@ def cut(text: str, most: int) -> str:
 
 
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
-    """``mean [low, high]``; without the bracket if there is no interval."""
+    """Return the cell ``mean [low, high]``; without the bracket if there is no interval."""
     interval = "" if math.isnan(low) else f" [{number(low, digits)}, {number(high, digits)}]"
     return Cell(text=number(mean, digits) + interval, value=mean, small=small)
 

@@ -69,7 +69,7 @@ def scaled(camera: Camera, factor: float) -> Camera:
 
 
 def camera_entity(camera: Camera) -> str:
-    """Entity path of a camera."""
+    """Return the entity path of a camera."""
     return f"world/cameras/{entity_part(camera.name)}"
 
 

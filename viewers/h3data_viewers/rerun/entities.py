@@ -83,11 +83,11 @@ class PosedScene(Protocol):
         ...
 
     def matrices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World matrices of a moving drawable, [len(steps), 4, 4]; NaN where it is not in the world."""
+        """Return the world matrices of a moving drawable, [len(steps), 4, 4]; NaN where it is not in the world."""
         ...
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World vertices of a deformable drawable, [len(steps), V, 3] [m]."""
+        """Return the world vertices of a deformable drawable, [len(steps), V, 3] [m]."""
         ...
 
 

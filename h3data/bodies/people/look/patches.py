@@ -115,7 +115,7 @@ def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
-    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
+    """Return unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
 
     They point up where faces are degenerate. Vertices of the same ``surface`` [V] are shaded as one.
     """

@@ -153,7 +153,7 @@ class Wardrobe:
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
-        """Faces of the skin that are invisible below these pieces [F]."""
+        """Return the faces of the skin that are invisible below these pieces [F]."""
         count = self.data[f"skin/{detail}/faces"].shape[-1]
         # a bit for each face, eight to the byte, as files hold them
         bits = np.zeros((count + 7) // 8, np.uint8)

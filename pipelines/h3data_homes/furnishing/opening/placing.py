@@ -65,7 +65,7 @@ def opening_assets(opening: Opening, model: str) -> dict[str, Asset]:
 
 
 def placed_opening(opening: Opening, body: Instance) -> tuple[list[Instance], Articulation]:
-    """Instances of the parts of a piece whose body is placed, and the joints between them."""
+    """Return the instances of the parts of a piece whose body is placed, and the joints between them."""
     instances = [
         replace(body, name=f"{body.name}/{part.name}", asset=f"{body.asset}/{part.name}") for part in opening.parts
     ]

@@ -166,7 +166,7 @@ class RearrangeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
-        """Bank with the episodes of several banks, one after the other, of the same rules and bodies.
+        """Merge the episodes of several banks, of the same rules and bodies, one after the other.
 
         If no two banks share a home, it equals the bank that is made of all episodes at once.
         """

@@ -148,7 +148,7 @@ def begin(
     hands: Hands,
     oracle: OracleSpec,
 ) -> Turn:
-    """Agents that are free begin what they have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
+    """Begin what free agents have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
     objects, free = places.tables.objects, does.skill == FREE
     number = torch.where(free, chosen, does.skill)
     kind, k = choices.kind[number], choices.target[number]
@@ -183,7 +183,7 @@ def begin(
 
 
 def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
-    """Agents that ``may`` [W] choose anew, and have chosen something else than what they are at."""
+    """Let agents that ``may`` [W] change their choice do so, if it differs from their present one."""
     stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
     return does._replace(
         skill=torch.where(stops, FREE, does.skill),

@@ -119,7 +119,7 @@ class Play(NamedTuple):
 
     @classmethod
     def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype, parts: int = 0) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:

@@ -81,11 +81,11 @@ class Tables:
         )
 
     def goals(self, episode: Tensor) -> Tensor:
-        """Goals of the objects in episodes [W], [W, K, 3] [m]."""
+        """Return the goals of the objects in episodes [W], [W, K, 3] [m]."""
         return self.spots[episode, self.objects : 2 * self.objects]
 
     def handles(self, episode: Tensor) -> Tensor:
-        """Handles at rest of the doors and drawers of the task in episodes [W], [W, M, 3] [m]."""
+        """Return the handles at rest of the doors and drawers of the task in episodes [W], [W, M, 3] [m]."""
         return self.spots[episode, 2 * self.objects :]
 
     def at(self, episode: Tensor) -> Places:
@@ -121,7 +121,7 @@ class Places(NamedTuple):
         return self.tables.spots[self.episode, number]
 
     def ends(self, field: Tensor) -> Tensor:
-        """Places at the ends of paths [W, ...]: [W, ..., S, 2]."""
+        """Return the places at the ends of paths [W, ...]: [W, ..., S, 2]."""
         return self.tables.ends[self._rows(self.episode, field) * self.tables.fields + field]
 
     def first(self, field: Tensor, xz: Tensor) -> Tensor:

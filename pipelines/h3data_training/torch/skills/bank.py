@@ -96,7 +96,7 @@ class SkillBank:
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
-        """Bank in which starts close to their stands make up a share of all.
+        """Return a bank in which starts close to their stands make up a share of all.
 
         Starts within ``within_m`` of their stands are repeated for that. The bank is unchanged if there are none, or
         enough.
@@ -109,7 +109,7 @@ class SkillBank:
         return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
 
     def with_reaching(self, share: float, bearing: float, rng: np.random.Generator) -> SkillBank:
-        """Bank in which starts at the stands, with the arm partly extended, make up a share of all.
+        """Return a bank in which starts at the stands, with the arm partly extended, make up a share of all.
 
         Such a start repeats one of the bank, but the robot is where the hand reaches the target, and turned so that it does.
 

@@ -30,7 +30,7 @@ class Drive:
     """Discs of a base that also cover what the hand carries."""
 
     def widened(self, place: Tensor, robot: RobotTensors, holds: Tensor, wide: Tensor) -> Tensor:
-        """True for bases that keep a distance which covers what their hands carry, bool [W].
+        """Return True for bases that keep a distance which covers what their hands carry, bool [W].
 
         These are the ones that hold something, as soon as there is room for it, as in
         `sim_kinematic.agents.robots.driving.RobotDriver`.

@@ -145,11 +145,11 @@ class SkillContext(NamedTuple):
         return self.play.way, self.play.robot.xz + self.play.towards
 
     def clearance(self, points: Tensor) -> Tensor:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return clearance(self.grids, points)
 
     def in_hand(self, points: Tensor) -> Tensor:
-        """World points [W, n, 3] in the frames of the hands."""
+        """Transform world points [W, n, 3] into the frames of the hands."""
         return seen_by(Hand(self.hand.point[:, None], self.hand.axes[:, None]), points)
 
 
@@ -222,7 +222,7 @@ class SkillTensors:
         return self.rules.nav_steps if self.skill == "nav" else self.rules.arm_steps
 
     def before_the_first(self, episode: Tensor) -> SkillPlay:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         worlds = len(episode)
 
         def numbers(*axes: int) -> Tensor:
