@@ -189,7 +189,7 @@ MOVED = {
     "h3data.scene.validation": "h3data_pipelines.validation.scenes",
     "h3data_pipelines.commands.penetration": "h3data_pipelines.validation.penetration",
 }
-"""New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
+"""New name of each module that was renamed. Modules of a package that has moved as a whole follow its name."""
 
 RENAMED = {
     "h3data.formats.export_format": "h3data_pipelines.format_names.export_format",
@@ -264,10 +264,8 @@ RENAMED = {
     "sim_kinematic.world.Stride": "PoseCommand",
     "sim_kinematic.world.WalkTo": "WaypointCommand",
 }
-"""New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
-
-`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own makes it by `lazy_names`.
-"""
+"""New name of each public object that was renamed: in the same module, or with its new module if it moved alone.
+`announce_moves` makes the old modules refuse the old names; modules with a ``__getattr__`` use `lazy_names`."""
 
 
 def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:

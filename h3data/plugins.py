@@ -32,7 +32,7 @@ from h3data.errors import H3DataError, InputError, PluginError, UntrustedNameErr
 T = TypeVar("T")
 
 REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-"""``module:name``, as in an entry point."""
+"""Pattern of ``module:name``, as in an entry point."""
 
 
 TRUST_VARIABLE = "H3DATA_TRUST"

@@ -19,7 +19,7 @@ LINE_EVERY_S = 30.0
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 BEGUN = Event()
-"""Set once this process has shown progress: notices, which would come between its lines, are too late then."""
+"""Event that is set once this process has shown progress: notices would then come between progress lines."""
 
 
 def is_quiet() -> bool:

@@ -95,7 +95,8 @@ class NameOf:
     """Marks a text option that names an entry of a registry: its help lists the names, those of plug-ins included."""
 
     names: Callable[[], Iterable[str]]
-    """Asked only when the command is chosen: finding plug-ins takes some milliseconds."""
+    """Function that returns the names. It is called only when the command is chosen: finding plug-ins takes some
+    milliseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)

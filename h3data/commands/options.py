@@ -47,10 +47,11 @@ RENAMED = {
     "--without": "--ablate",
     "--zsc": "--unseen-partners",
 }
-"""Options of earlier versions and their names now. The old ones are refused, with the new name."""
+"""Options of earlier versions and their present names. The old names are refused with a message that states the new
+one."""
 Repeatable = tyro.conf.UseAppendAction
-"""An option of any number of values takes one each time it is given: ``--camera A --camera B``. With all of them after one
-flag, it would swallow the positional argument behind it."""
+"""An option that takes one value each time it is given: ``--camera A --camera B``. With all of them after one flag, it
+would swallow the positional argument behind it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class OfTasks:
     A task that is given as ``module:Class`` may have it."""
 
     has: Callable[[str], bool]
-    """Function that is asked with the name of a task."""
+    """Function that returns whether the option applies to a task, by the task's name."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +78,15 @@ class Option:
 
     field: str
     flags: tuple[str, ...]
-    """``-o``, ``--out``; ``--camera``, ``--cameras`` of one that takes several values; empty for a positional argument."""
+    """Names of the option: ``-o``, ``--out``; ``--camera``, ``--cameras`` if it takes several values; empty for a
+    positional argument."""
     required: bool
     kind: Any
     """Type of one value, without None."""
     count: int | None
     """Number of values, None for any number."""
     metadata: tuple[Any, ...]
-    """Markers of tyro."""
+    """Annotations of the option for tyro."""
 
     @property
     def name(self) -> str:

@@ -192,6 +192,6 @@ TABLES = (
         ),
     ),
 )
-"""Formats of text that plug-ins may know better: they are asked first."""
+"""Formats of text that plug-ins may recognize better, so that plug-ins are asked first."""
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

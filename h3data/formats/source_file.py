@@ -17,7 +17,7 @@ from h3data.errors import FormatError, InputError
 CHUNK_BYTES = 1 << 20
 UNPACKED_BYTES = 64 << 20
 UNPACKED_RATIO = 200
-"""Gzip data may unpack to `UNPACKED_BYTES`, or to this many times its own size (JSON of recordings: 5 to 30 times)."""
+"""Largest ratio of unpacked to packed size of gzip data above `UNPACKED_BYTES` (JSON of recordings: 5 to 30)."""
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 

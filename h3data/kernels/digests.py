@@ -31,7 +31,7 @@ OURS = (
     "h3data_pipelines",
     "sim_kinematic",
 )
-"""Packages whose sources are part of the digests."""
+"""Names of packages whose sources are part of the digests."""
 
 
 # --- files --------------------------------------------------------------------------------------------------------------

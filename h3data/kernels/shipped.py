@@ -39,7 +39,8 @@ from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
 log = logging.getLogger(__name__)
 
 LEVEL = "x86-64-v3"
-"""Name of the set `LEVEL_FEATURES`; shipped code is as fast as that for the very processor, but for AVX-512 in step kernels."""
+"""Name of the set `LEVEL_FEATURES`. Code for this level is as fast as code for the machine's own processor, except step
+kernels with AVX-512."""
 LEVEL_FEATURES = (
     "avx",
     "avx2",

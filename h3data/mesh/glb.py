@@ -15,9 +15,9 @@ from h3data.geometry import Array, normalized
 from h3data.mesh.png import png_bytes
 
 FLOAT32, UINT32, UINT16, INT16, UINT8 = 5126, 5125, 5123, 5122, 5121
-"""``componentType`` of an accessor."""
+"""Values of ``componentType`` of an accessor."""
 VERTICES, INDICES = 34962, 34963
-"""``target`` of a buffer view."""
+"""Values of ``target`` of a buffer view."""
 
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
 

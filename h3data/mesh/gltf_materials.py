@@ -28,7 +28,7 @@ class Look:
     opacity: float = 1.0
     texture: Texture | None = None
     uv_set: int = 0
-    """The n of ``TEXCOORD_n``."""
+    """Number n of the attribute ``TEXCOORD_n``."""
     uv_transform: NDArray[np.float64] | None = None
     """Matrix [2, 3] applied to the file's texture coordinates; None leaves them."""
 

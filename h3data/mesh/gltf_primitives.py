@@ -18,7 +18,7 @@ from h3data.mesh.mesh import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (204, 204, 204)
-"""sRGB of surfaces without a colour in their file."""
+"""Colour (sRGB) of surfaces without a colour in their file."""
 MAX_TRIANGLES = 30_000_000
 """Limit of triangles per file, instances counted; larger files are refused before anything is read."""
 

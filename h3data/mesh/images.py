@@ -20,8 +20,8 @@ from h3data.mesh.png import MAX_PX
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MAX_SIDE_PX, MAX_FILE_PX = 2048, 1 << 27
-"""Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each. All images
-of one file have at most `MAX_FILE_PX` texels (512 MiB): beyond it, the largest are reduced until they fit."""
+"""Largest side of an image, and largest number of texels in all images of one file (512 MiB). Larger images are reduced
+by 2, 4, ... until they fit; a picture of a room shows no more detail."""
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 

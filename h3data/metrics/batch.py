@@ -40,12 +40,13 @@ class Part:
     episodes: range | None
     """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Name of the job that the part belongs to; datasets stay open within a job."""
+    """Name of the job of the part; within a job, datasets stay open."""
 
 
 F = TypeVar("F")
 Spread = Callable[[Callable[[Part], F], Sequence[Part]], Iterable[F]]
-"""Applies a function to parts, anywhere, and gives its results in their order; `map` does it here."""
+"""Function that applies a function to parts, on any machine, and returns the results in the order of the parts; `map`
+does it in this process."""
 Measured = EpisodeMetrics | tuple[str, str, str]
 """Metrics without the functions that compute them, or the name, message and reason of an episode that was left out.
 
@@ -58,7 +59,7 @@ class LeftOut:
     """An episode that cannot be measured."""
 
     name: str
-    """Path of the log, or ``ds#3``."""
+    """Path of the log, or dataset and number such as ``ds#3``."""
     error: UnmeasurableError | FormatError
 
     @property

@@ -28,7 +28,7 @@ class EpisodeMetrics:
     metrics: tuple[Metric, ...]
     """Definitions of the metrics, in the order of ``values``."""
     values: Mapping[str, float]
-    """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
+    """Values by metric name; NaN = this recording does not determine it, see ``notes``."""
     notes: Mapping[str, str]
     """Reasons by metric name: why it is undefined, or what replaced missing data."""
     robot: int = -1
@@ -41,12 +41,12 @@ class EpisodeMetrics:
     task: str
     """Task of the metrics; for profiles that measure any task, that of the recording."""
     task_is_assumed: bool = False
-    """The recording, a gfx-replay, does not say its task: ``task`` is what it was taken for."""
+    """True if the recording, a gfx-replay, does not state its task, so that ``task`` is an assumption."""
     scene: str = ""
     dt_ns: int = STEP_NS
     """Nominal time between steps of the recording [ns]."""
     units: str = "SI"
-    """``info:units`` of the recording."""
+    """Entry ``info:units`` of the recording."""
     protocol_deviations: str = ""
     """Rules of the episode that differ from the paper's; empty for other profiles."""
     participant: str = ""
@@ -54,11 +54,11 @@ class EpisodeMetrics:
     condition: str = ""
     """Condition of a study, ``info:condition``."""
     policy: str = ""
-    """``info:policy``: the policy of the robot."""
+    """Policy of the robot, ``info:policy``."""
     partner: str = ""
     """Policy of the person, ``info:partner``; of a recording that several partners share, one of them (`for_each_partner`)."""
     max_steps: int = 0
-    """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
+    """Longest duration, ``info:max_steps``; the number of rows if it is not recorded."""
 
     @property
     def encounter_row(self) -> int:

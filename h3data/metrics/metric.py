@@ -18,7 +18,7 @@ Series = Mapping[str, NDArray[Any]]
 
 
 ARROWS: dict[Direction, str] = {"higher": "up", "lower": "down", "neither": ""}
-"""The better direction in tables."""
+"""Arrow for the better direction in tables."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,24 +26,24 @@ class Metric:
     """Metric of one profile."""
 
     id: str
-    """``profile/task/name@version``; a change of meaning gets a new version."""
+    """Identifier ``profile/task/name@version``; a change of meaning gets a new version."""
     name: str
-    """Key in results: ``S``."""
+    """Key of the metric in results, such as ``S``."""
     title: str
     formula: str
     unit: str = "1"
-    """``1`` for ratios and flags."""
+    """Unit; ``1`` for ratios and flags."""
     range: tuple[float, float] = (-INF, INF)
     """Smallest and largest possible value."""
     direction: Direction = "neither"
-    """The better direction; ``neither`` if the source names none."""
+    """Better direction; ``neither`` if the source names none."""
     source: str = ""
     """Paper, section or code that defines the metric."""
     columns: tuple[str, ...] = ()
     """Required data. ``<robot>`` and ``<human>`` are agent numbers, ``<i>`` is every agent; ``info:<key>`` is a key of
     `Episode.info`, ``events:<kind>`` a kind of event. ``a or b``: one of the two is enough."""
     optional: tuple[str, ...] = ()
-    """Data read where present; a note says what replaces it."""
+    """Columns that are read where present; a note states their replacement if they are missing."""
     undefined: str = ""
     """Description of the episodes in which the metric has no value."""
     series: tuple[str, ...] = ()

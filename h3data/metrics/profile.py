@@ -63,7 +63,7 @@ class Profile:
     """
 
     name: str
-    """First part of the ids of the profile's metrics: ``paper``."""
+    """Name of the profile, such as ``paper``: the first part of the ids of its metrics."""
     title: str
     """Title of the profile, one line for lists."""
     metrics: tuple[Metric, ...]
@@ -71,15 +71,16 @@ class Profile:
     tasks: tuple[str, ...] = ()
     """Values of `Episode.task` that the profile measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
-    """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
+    """Function that computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """Function that computes the metrics of several recordings at once, instead of `compute`: on one episode, NumPy's
     calls take longer than the arithmetic."""
     series: Callable[[Recording], Series] = _no_series
-    """Computes the per-row quantities and flags [T] behind the metrics."""
+    """Function that computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
     beside: str = ""
-    """Key of `Episode.info`. Reports measure recordings that have it by this profile too, in a table of its own."""
+    """Key of `Episode.info`. Reports also measure recordings that have this key by this profile, in a table of its
+    own."""
 
     def __post_init__(self) -> None:
         wrong = [m.id for m in self.metrics if m.profile != self.name]

@@ -21,7 +21,7 @@ from h3data.plugins import Registry, names_from_data
 from h3data.recording.records import Recording
 
 ANY_TASK = "task"
-"""Profile of tasks that no other profile names."""
+"""Name of the profile for tasks that no other profile names."""
 
 
 def _check(loaded: Any) -> None:

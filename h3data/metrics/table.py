@@ -32,7 +32,7 @@ class Summary:
     count: int
     """Number of episodes with a value."""
     episodes: int
-    """All episodes, with and without a value."""
+    """Number of all episodes, with and without a value."""
     method: Literal["bootstrap", "wilson"]
 
 
@@ -45,7 +45,7 @@ class MetricsTable:
     columns: Mapping[str, NDArray[np.float64]]
     """Values [E] by metric name; NaN = undefined in that episode."""
     episodes: tuple[EpisodeMetrics, ...]
-    """The rows with their notes."""
+    """Metrics of each episode, with notes."""
     metrics: tuple[Metric, ...]
     """Definitions of the columns, in their order."""
     left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

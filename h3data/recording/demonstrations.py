@@ -24,7 +24,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
     """A camera of which every episode has a video."""
 
     key: str
-    """Name of the feature, ``observation.images.robot_arm``."""
+    """Name of the feature, such as ``observation.images.robot_arm``."""
     camera: str
     """Name of the camera on the body that carries it; the name of the feature if no body carries it."""
     agent: str
@@ -57,7 +57,7 @@ class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
     episode: int
     """Number of the first episode in this scene, which holds the scene's file."""
     source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Recipe by which the scene was made, as recordings have it."""
+    """Recipe of the scene, as in recordings."""
 
 
 class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,7 +68,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     task: str
     """Name of the task."""
     instruction: str = ""
-    """The task in words."""
+    """Instruction of the task in words."""
     agent: str
     """Name of the agent whose actions are learned."""
     agents: tuple[DemonstratedAgent, ...]
@@ -91,7 +91,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     episode_scenes: tuple[int, ...]
     """Number of each episode's home in ``scenes``."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Rules of the first episode, as recordings hold them."""
+    """Rules of the first episode, as in recordings."""
 
 
 def write_demonstrations(root: AnyPath, demonstrations: Demonstrations) -> None:

@@ -24,19 +24,19 @@ class StoredEpisode:
     """Episode that can be read from a file or a dataset."""
 
     name: str
-    """Path of the file, or ``ds#3``."""
+    """Path of the file, or dataset and number such as ``ds#3``."""
     path: AnyPath
-    """The file, or the dataset's folder."""
+    """Path of the file, or of the dataset's folder."""
     read: Callable[[], Recording]
-    """Returns the recording, or raises an `H3DataError`."""
+    """Function that returns the recording, or raises an `H3DataError`."""
     read_facts: Callable[[], Mapping[str, Any]]
-    """Reads `facts`, without ``info`` spread out."""
+    """Function that reads `facts`, without spreading out ``info``."""
     index: int | None = None
     """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
-    """Return the videos of the episode in its dataset."""
+    """Function that returns the videos of the episode in its dataset."""
     read_together: Callable[[range], Iterator[Recording]] | None = None
-    """Reads consecutive episodes of its dataset, by number; faster than one after the other."""
+    """Function that reads consecutive episodes of its dataset, by number; faster than one after the other."""
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from h3data.recording.records import InputEvent, Recording
 
 CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
-"""Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time."""
+"""Kinds of raw input: a message as received, a player who connected or left, and steps that were not played in time."""
 NOTHING, AWAY, STEERS = "-", "away", "steers"
 """Wishes of a player at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
 
@@ -27,7 +27,7 @@ class LiveInput:
     """Input of one player."""
 
     user: int
-    """Agent that the person played."""
+    """Number of the agent that the person played."""
     messages: int
     asked: tuple[str, ...]
     """Last wish of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""

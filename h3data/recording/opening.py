@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from h3data.recording.parquet.dataset import Dataset
 
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
-"""Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which lie beside recordings but are none."""
+"""Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which may lie beside recordings."""
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:

@@ -13,7 +13,7 @@ from h3data.geometry import heading_from_quat
 from h3data.recording.records import Recording
 
 HEIGHT_M = 0.3
-"""Height over the floor at which scans are shown, that of the scanner [m]."""
+"""Height over the floor at which viewers draw scans: that of the scanner [m]."""
 
 
 class Scan(NamedTuple):
@@ -24,7 +24,7 @@ class Scan(NamedTuple):
     ranges: NDArray[np.float32]
     """Distances [T, R] [m], or [T, L, R] of L lasers, the lowest first."""
     max_m: float
-    """Greatest distance that it can measure; rays that long met nothing."""
+    """Greatest distance that the scanner measures [m]; a ray of this length met nothing."""
     height_m: float = HEIGHT_M
     """Height of the scanner over the origin of the base."""
     elevations: tuple[float, ...] = (0.0,)

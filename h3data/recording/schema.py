@@ -221,7 +221,8 @@ STRUCTS: dict[str, dict[str, str]] = {
     },
     "Input": {"time_ns": "int64", "kind": "string", "user": "int64", "payload": "string"},
 }
-"""Fields in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a list."""
+"""Fields of stored records in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a
+list."""
 
 RECORD_TYPES: dict[str, type] = {
     "Asset": AssetRef,

@@ -26,7 +26,8 @@ class Camera:
     width: int
     height: int
     fx: float
-    """Pixels per unit at z = 1 (perspective), per metre (orthographic) or per radian (fisheye, equirectangular)."""
+    """Focal length along x: pixels per unit at z = 1 (perspective), per metre (orthographic) or per radian (fisheye,
+    equirectangular)."""
     fy: float
     cx: float
     cy: float
@@ -36,7 +37,7 @@ class Camera:
     """Layers whose instances are hidden, e.g. ``("ceiling",)`` in views from above."""
     projection: Projection = "perspective"
     near: float = 0.0
-    """Surfaces nearer than this depth are cut away [m]; 0 keeps everything in front of the camera's plane."""
+    """Depth below which surfaces are cut away [m]; 0 shows everything in front of the camera's plane."""
     far: float = float("inf")
     """Surfaces beyond this depth count as misses [m]."""
 
@@ -325,8 +326,8 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
 
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Converts camera poses between OpenGL / Habitat (x right, y up, looking along -z) and OpenCV, both directions, when
-multiplied from the right."""
+"""Matrix that converts camera poses between OpenGL / Habitat (x right, y up, looking along -z) and OpenCV, in both
+directions, when multiplied from the right."""
 CONVENTIONS: dict[Convention, NDArray[np.float64]] = {
     "opencv": np.eye(4),
     "opengl": OPENGL_TO_OPENCV,

@@ -19,10 +19,8 @@ from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
 ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
-"""The back ends ``gpu``, ``auto`` and ``rays``: made of a scene, a light and the numbers of worlds and threads.
-
-``rays`` takes ``only_rays`` in addition: False makes the rasteriser with rays for what it cannot do.
-"""
+"""Makers of the back ends ``gpu``, ``auto`` and ``rays``, from a scene, a light and the numbers of worlds and threads.
+``rays`` also takes ``only_rays``: False adds the rasteriser for what rays cannot render."""
 
 
 class Engine(Protocol):

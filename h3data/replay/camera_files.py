@@ -76,7 +76,7 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     keys: tuple[Key, ...] = ()
     orbit: Orbit | None = None
     follow: str = ""
-    """Name of an agent: the camera moves and turns with its root frame (x forward, y up, z right)."""
+    """Name of an agent with whose root frame (x forward, y up, z right) the camera moves and turns."""
     turns: bool = True
     """True if the camera turns with the agent; false if it moves with it but keeps its direction."""
     smooth_s: float = 0.0

@@ -160,7 +160,7 @@ def _mounted(replay: Replay, name: str) -> CameraTrack | None:
 
 
 HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
-"""Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
+"""Pose of the camera in the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12
 """Distance of the near plane, which cuts the person's own face away [m]."""
 

@@ -31,7 +31,7 @@ class ShadowCasters:
 
     field: LightField
     members: NDArray[np.int64]
-    """Group of every instance, -1 for what stands still, shape [I]."""
+    """Group of every instance, -1 for static ones, shape [I]."""
     local: NDArray[np.float64]
     """A capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7]; NaN for no mesh."""
 

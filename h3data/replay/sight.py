@@ -16,8 +16,8 @@ AHEAD_PX, AHEAD_DEG = 48, 80.0
 
 
 CARRIED_M, CLEARANCE_M = 0.6, 0.1
-"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; half the width of a free line, and
-the distance at which it ends in front of an obstacle [m]."""
+"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; and half the width of a
+free line, which is also the distance at which it ends in front of an obstacle [m]."""
 
 
 class Sight:

@@ -27,7 +27,7 @@ from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
 WORLDS = 32
-"""Number of steps that a GPU draws at once, each in a world of its own."""
+"""Number of steps that a GPU renders at once, each in a world of its own."""
 JOINT_STEPS = 64
 """Number of steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 

@@ -19,7 +19,7 @@ from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_p
 from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
 
 AJAR = 0.6
-"""Share of the range of a joint from which on its part is open, so that hands get in."""
+"""Share of a joint's range from which on its part counts as open, so that hands get in."""
 
 ON_M, STACK_M = 0.02, 0.1
 """Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""

@@ -20,7 +20,7 @@ X0, Z0, X1, Z1, LOW, HIGH, AXIS, START, END, STEPS = range(10)
 1 = z) and coordinates of the ramp's ends [m]; number of risers."""
 COLUMNS = 10
 LEVEL: NDArray[np.float64] = np.zeros((0, COLUMNS))
-"""The table of a floor that is level everywhere: `FloorMap.floor_y` says how high."""
+"""Table of heights of a floor that is level everywhere, at the height `FloorMap.floor_y`."""
 
 
 def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ class NamedScene:
     """A scene that can be loaded, and the words by which the command line knows it."""
 
     name: str
-    """``small:3``, ``h3-homes/test#3`` or a path."""
+    """Name of the scene, such as ``small:3`` or ``h3-homes/test#3``, or a path."""
     source: SceneSource
     id: str = ""
     """Id of the scene, if it is part of a set."""

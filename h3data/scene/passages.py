@@ -16,7 +16,7 @@ from h3data.scene.records import Scene, Shape, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 
 LEAST_M, FOOT_M = 1.6, 0.3
-"""Doors are at least so high over the floor, and begin at most so high over it."""
+"""Least height of doors over the floor, and greatest height of their lower edge."""
 
 
 @lru_cache(maxsize=64)

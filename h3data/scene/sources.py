@@ -39,7 +39,7 @@ class SceneFile:
     scene: str = ""
     """Name of the scene within a file that holds several, such as a ``.scene_dataset_config.json``."""
     assets: tuple[str, ...] = ()
-    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
+    """Additional folders in which the scene's files are searched; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
     """True if warnings count as errors."""
     allow_missing: bool = False
@@ -64,7 +64,7 @@ class SceneFile:
 
 
 SceneSource = SceneSpec | SceneFile
-"""Everything needed to obtain a scene; hashable."""
+"""Everything that identifies a scene; hashable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,19 +82,19 @@ class SceneGenerator:
     """Scenes that are made of a name and a seed, such as ``small:3``."""
 
     names: Sequence[str]
-    """Names that may stand before the colon."""
+    """Names that may come before the colon in the name of a scene."""
     named: Callable[[str, int], SceneSpec]
-    """The spec that a name and a seed stand for."""
+    """Function that returns the spec of a name and a seed."""
     Spec: Callable[..., SceneSpec]
-    """Makes a spec of the values, as keywords, that `Scene.source` or a table of a scene set gives."""
+    """Type of specs, made from the keywords in `Scene.source` or in a table of a scene set."""
     Table: type[msgspec.Struct]
     """Keys and types of a table in a scene set: ``id`` and the keywords of `Spec`."""
     build: Callable[[Any], Scene]
-    """The scene of a spec."""
+    """Function that builds the scene of a spec."""
     listed: Mapping[str, SceneSize] = field(default_factory=dict)
-    """The names that ``h3data scenes list`` shows."""
+    """Names that ``h3data scenes list`` lists."""
     about: str = ""
-    """Help text on the names of scenes, in whole sentences, shown below their list."""
+    """Help text on the names of scenes, in whole sentences, which appears below their list."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,14 +109,15 @@ class SceneReader:
     open_collection: Callable[[Path], Any] | None = None
     """Function that makes the object that `h3data.open` returns for such a file."""
     scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
-    """Names of the scenes in such a file."""
+    """Function that returns the names of the scenes in such a file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
-    """The mesh of an object template: `object_mesh`."""
+    """Function that returns the mesh of an object template, as `object_mesh`."""
     write_collection: Callable[..., Path] | None = None
-    """Called as ``(scenes, folder, *, name=None, split_building=False, force=False)``: writes scenes as a new collection and
-    returns its file in the new ``folder``. ``split_building`` makes walls and floors objects of their own."""
+    """Function that writes scenes as a new collection. It is called as ``(scenes, folder, *, name=None,
+    split_building=False, force=False)`` and returns the collection's file in the new ``folder``. ``split_building``
+    makes walls and floors objects of their own."""
     write_scene: Callable[[Scene, Path], Sequence[Path]] | None = None
-    """Writes one scene as a file of the maker; returns the files that were written, the named one first."""
+    """Function that writes one scene as a file of this format and returns the files, the named one first."""
     with_objects: (
         Callable[
             [Sequence[Scene], Path, Sequence[str | Path]],
@@ -124,10 +125,10 @@ class SceneReader:
         ]
         | None
     ) = None
-    """Puts objects of a folder, found with the asset folders, in the places of movable things. Returns the scenes, the number
-    of things that were replaced, and facts of every object by name."""
+    """Function that replaces movable things by objects of a folder, found with the asset folders. It returns the
+    scenes, the number of things that were replaced, and facts of every object by name."""
     recognizes: Callable[[Path], bool] = lambda _: True
-    """Returns whether a file with such an ending is of this maker, for endings that others use too."""
+    """Function that returns whether a file with such an ending has this format, for endings that others use too."""
 
 
 def _check(entry: Any) -> None:

@@ -126,7 +126,7 @@ class SeedSummary:
     low: float
     """Lower end of Student's t interval of the mean; NaN for one seed."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of Student's t interval of the mean; NaN for one seed."""
     seeds: int
     """Number of seeds with a defined value."""
 

@@ -44,7 +44,7 @@ class GlbNode:
     """Pose (pose7) of the mesh, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Plain JSON that other programs keep or ignore."""
+    """Plain JSON that other programs preserve or ignore."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ from h3data.errors import FormatError
 
 MAX_STEPS = 1_000_000
 MAX_TRACK_VALUES = 1 << 27
-"""Steps times bodies (agents, metrics) times what each has."""
+"""Largest product of steps, bodies (agents, metrics) and values of each."""
 MAX_BODIES = 100_000
 MAX_AGENTS = 256
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 
 MAX_UNFOLDED = 64
-"""Values per byte of the file. More come out only where a file refers to one list again and again: a few bytes could stand
-for more values than any memory holds, or for a list that contains itself."""
+"""Largest number of values per byte of the file. A file exceeds it only if it refers to one list again and again: a few
+bytes could represent more values than any memory holds, or a list that contains itself."""
 MAX_DEPTH = 100
 _DTYPES = {"O8", "b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"}
 

@@ -42,9 +42,9 @@ BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
     "small_object": (122, 176, 138),
     "furniture": (196, 178, 152),
 }
-"""Colour of a box, by kind."""
+"""Colour of the boxes of each kind."""
 MODELS = {"spot": "quad_arm", "stretch": "lift_arm", "fetch": "lift_arm"}
-"""Built-in robot that is drawn for one whose folder has this in its name."""
+"""Built-in robots by a part of the name of the folder of the robot that they replace."""
 _SPOT_LINKS = {
     "base": "base_link",
     **{

@@ -41,8 +41,8 @@ class RoomPlan:
 
 
 OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet", "passage"]
-"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade, ``passage`` = the
-doorway to a stairwell."""
+"""Kind of opening: ``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its
+balustrade, ``passage`` = the doorway to a stairwell, and others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class Opening:
     height: tuple[float, float]
     """Bottom and top of the clear opening [m]."""
     rooms: tuple[str, ...]
-    """The one or two rooms that it belongs to."""
+    """Names of the one or two rooms on its sides."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
 Rect = tuple[float, float, float, float]
-"""Rectangle x0 z0 x1 z1 [m]."""
+"""Rectangle as x0, z0, x1, z1 [m]."""
 Tile = tuple[str, Rect]
 """Kind of room and its rectangle."""
 

@@ -54,8 +54,9 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         f"{TESTS} tests/worlds/test_usd_foreign.py -k right_size_and_floor",
     ),
 }
-"""Commands that users run, by their names in progress messages, and tests of what they do with files that only users have.
-``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in ``../shared/real``."""
+"""Commands that users run, by their names in progress messages, and tests for commands that need users' files.
+``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in
+``../shared/real``."""
 
 
 def build() -> str:

@@ -35,21 +35,21 @@ HANDLING_WAIT = 15
 PAUSE = 8
 """Number of steps after which an agent without an errand asks again."""
 AVOID = 90
-"""Number of steps for which an errand is left after failures."""
+"""Number of steps for which an errand is avoided after failures."""
 LATE = 600
 """Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
 PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
-"""Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
+"""Largest number of orders of the errands that are compared; with more errands, the nearest comes first."""
 ASIDE_M = 2.0
-"""Least distance between one who asks somebody to move and the thing to which that agent goes [m]."""
+"""Least distance between an agent that asks another to move and the thing to which the other goes [m]."""
 ESCAPES = tuple(
     ("turn_" + side,) * 2 + ("move_" + way,) * 4 for way in ("backward", "forward") for side in ("left", "right")
 )
 """Primitives that are tried in turn by a robot that is stuck in a doorway, about 20 degrees and 1.3 m each."""
 WORK_M = 4.0
-"""Time that an errand takes at its places, as the path that one could walk in it [m]."""
+"""Length of a path that takes as long as the work of an errand at its places [m]."""
 
 
 class Plan:

@@ -20,7 +20,7 @@ from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 
 FLOOR = "floor of "
-"""Begins the names of places on the floor of rooms."""
+"""Beginning of the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
 """Furniture on which nobody is asked to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
@@ -50,7 +50,7 @@ class Home:
     surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
     """Open surfaces by the name of their furniture."""
     enclosed: Mapping[str, list[tuple[Instance, Receptacle]]]
-    """Surfaces behind its doors and in its drawers, by the name of the furniture."""
+    """Surfaces behind doors and in drawers, by the name of their furniture."""
     lies_on: Mapping[str, str]
     """Furniture on which each thing lies in the scene."""
     categories: Mapping[str, str]
@@ -204,7 +204,7 @@ def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> d
 
 
 Words = Mapping[str, Mapping[str, tuple[str, ...]]]
-"""Names that phrases mean, by the slots in which they stand: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
+"""Names that phrases mean, by slots: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
 
 
 def parse(instruction: str, words: Words) -> list[Evaluation]:

@@ -44,7 +44,7 @@ from sim_kinematic.tasks.rearrange.episode import Target
 TRIES = 8
 """Number of random placements of the objects that are tried."""
 LONGEST_INSTRUCTION = 5_000
-"""Largest number of characters in an instruction, which language models read again with each decision."""
+"""Largest number of characters of an instruction, which is part of every request to a language model."""
 MAX_STEPS = 20_000
 """Longest duration of PARTNR's episodes."""
 
@@ -53,7 +53,8 @@ class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
     """A task in words in an episode file."""
 
     extra: Mapping[str, Any]
-    """`Episode.extra`: propositions, layout, states, errands. Of PARTNR's files, without layout and errands."""
+    """Value of `Episode.extra`: propositions, layout, states, errands; without layout and errands for PARTNR's
+    files."""
 
     @property
     def is_planned(self) -> bool:

@@ -25,14 +25,14 @@ from sim_kinematic.agents.skills import INSIDE, Destination, sentence
 from sim_kinematic.tasks.task import Task
 
 USES = {("clean", True): "clean", ("filled", True): "fill", ("filled", False): "pour", ("powered", True): "on"}
-"""Word for the page of what a player can do to a thing, by the state and its value afterwards."""
+"""Words on the page for what a player can do to a thing, by the state and its value afterwards."""
 DONE = {
     "clean": "The {} is clean now.",
     "fill": "The {} is full now.",
     "pour": "The {} is empty now.",
     "on": "The {} is switched on now.",
 }
-"""Lines for the player about what has been done to things."""
+"""Texts for the player after something has been done to a thing."""
 SAID = {
     "i_take": "I take the {}.",
     "i_leave": "I leave the {} to you.",

@@ -14,7 +14,7 @@ from sim_kinematic.policies.rearrange import Chooser, robot_policy
 from sim_kinematic.policies.searching import Search, Seeking
 
 LATE = 600
-"""Number of steps after which an object that somebody has said to take, and has not taken, is free for others."""
+"""Number of steps after which an object that another agent has announced to take, and has not taken, is free again."""
 
 
 def nearest_quiet(task: Any, episode: Any, number: int) -> Any:

@@ -52,7 +52,7 @@ from sim_kinematic.tasks.social_nav.episode import Starts
 HANDLING_STEPS = 12
 """Number of steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
 HANDLING_M = 1.5
-"""Distance on the floor from a person to what they handle, at most [m]."""
+"""Largest distance on the floor from a person to a thing that they handle [m]."""
 _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
 
 

@@ -66,13 +66,13 @@ class TaskHome(NamedTuple):
     numbers: tuple[int, ...]
     """Numbers of the home's tasks in the run."""
     place: int
-    """Number of the home among all that the scenes name."""
+    """Number of the home among all homes of the run."""
     homes: int
-    """Number of homes that the scenes name."""
+    """Number of homes of the run."""
     seed_of: Callable[[int], int]
     """Seed of each of its episodes, by their index in the home."""
     skipped: tuple[int, ...] = ()
-    """Indexes of episodes that the set skips already."""
+    """Indexes of episodes that the set already skips."""
 
     def candidate(self, index: int) -> TaskCandidate:
         """Return the episode of an index."""
@@ -127,9 +127,9 @@ class Verification(NamedTuple):
     tasks: list[VerifiedTask]
     skipped: list[SkippedTask]
     failed: list[str]
-    """Episodes that raised an error, and why; they are played again when the job goes on."""
+    """Episodes that raised an error, with the error; they are played again when the job continues."""
     short: list[str]
-    """Homes with fewer tasks than numbers, and why."""
+    """Homes with fewer tasks than required, with the reason."""
     new: int
     """Number of episodes that were played now."""
 

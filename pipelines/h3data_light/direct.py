@@ -16,7 +16,7 @@ is the direction towards it and the half sides its size.
 WINDOW, LAMP, SUN = 0, 1, 2
 LAMP_RADIUS = 2.0
 SUN_SPREAD = 0.045
-"""Tangent of the sun's angular radius, larger than in reality: panes and the vertices' spacing blur its edge."""
+"""Tangent of the sun's angular radius, larger than in reality: the spacing of vertices blurs its edge."""
 MARKED = 128
 """Number of bits in `Probes.reach`: one for each of the first light sources, windows and lamps before suns."""
 SKY = (2.2, 2.6, 3.0)

@@ -12,7 +12,8 @@ from h3data.render.shade.shading import Light
 _MEAN = 0.56
 """Light on a surface of mean brightness, about that of the flat light."""
 _EXPONENT, _SHOULDER, _BRIGHTEST = 0.8, 1.05, 1.75
-"""Exponent of the curve that maps light to what is shown, where it bends, and its limit, in units of `_MEAN`."""
+"""Exponent of the curve that maps light to brightness in pictures, where it bends, and its limit, in units of
+`_MEAN`."""
 _TINT = 0.55
 """Share of the light's own colour; eyes and cameras adapt to the rest."""
 

@@ -29,7 +29,7 @@ _MOST = 0.85
 _FROM_DISC = 0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
 _UPWARD, _ABOVE_M = 0.9, 0.4
-"""Floors face up by this much; what they mirror is the light this far above them."""
+"""Least upward component of the normals of floors, and height above them of the light that they mirror."""
 _INDOORS = 0.2
 """Share of points under cover above which those in the open do not count."""
 _CORNERS = np.array(list(np.ndindex(2, 2, 2)))
@@ -43,7 +43,7 @@ class LightAt:
     direction: NDArray[np.float64]
     """Unit vector towards where most light comes from, shape [N, 3]; up where there is no light."""
     share: NDArray[np.float64]
-    """Share of the light that comes from there, 0..1, shape [N]."""
+    """Share of the light that comes from ``direction``, 0..1, shape [N]."""
     reach_m: NDArray[np.float64]
     """Distance to the first wall or floor in the opposite direction, shape [N] [m]."""
     irradiance: NDArray[np.float64]

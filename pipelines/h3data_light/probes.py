@@ -16,7 +16,7 @@ from h3data_light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
 from h3data_light.voxels import GLASS, PROBE_VOXELS, march, sees
 
 RAYS = (96, 64)
-"""Rays of a probe for the first bounce of light and for the second."""
+"""Number of rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
 """Probes farther from all surfaces [voxels] light none."""
 _FAINT = 0.02
@@ -31,7 +31,7 @@ class Probes(NamedTuple):
     reach: NDArray[np.uint64]
     """Bits of the windows and lamps that matter in and around a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""
     place: NDArray[np.float32]
-    """Position of each, within its block and away from surfaces, shape [X', Y', Z', 3]."""
+    """Position of each probe, within its block and away from surfaces, shape [X', Y', Z', 3]."""
     usable: NDArray[np.bool_]
     """True if there is air in the block, and a surface near, shape [X', Y', Z']."""
     light: NDArray[np.float32]

@@ -27,9 +27,9 @@ from h3data_light.field import LightField
 log = logging.getLogger(__name__)
 
 FORMAT = 4
-"""Part of the key: raise it whenever the bake changes."""
+"""Version of the format, a part of the key: raise it whenever the bake changes."""
 ROOM_BYTES = 2e9
-"""The cache keeps the most recently used homes up to this size."""
+"""Size of the cache; the most recently used homes stay."""
 _FIELD = ("origin", "spacing_m", "cube", "reach_m", "mean", "flat")
 _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
 
@@ -38,11 +38,11 @@ class Baked(NamedTuple):
     """Baked light of a home."""
 
     meshes: list[Mesh]
-    """The static meshes with their light."""
+    """Static meshes with their light."""
     mirrors: list[NDArray[np.float32] | None]
     """Light that the vertices of glossy meshes mirror (`RenderScene`), each [V, 5]; None for dull ones."""
     field: LightField
-    """The light between them."""
+    """Light between the surfaces."""
 
 
 def cached(

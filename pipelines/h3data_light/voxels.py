@@ -20,7 +20,7 @@ MARGIN_M = 0.5
 PROBE_VOXELS = 5
 """Number of voxels along the side of a block; each block has one probe and one mean colour per axis."""
 GLASS = 255
-"""Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
+"""Value of voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
 _HOLLOW_M3 = 3.0
 """Smaller closed hollows are the inside of furniture and of walls: points of other surfaces in there are hidden."""

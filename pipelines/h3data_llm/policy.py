@@ -22,7 +22,7 @@ from h3data_llm.world_text import WorldText
 from sim_kinematic.motion.state import NOBODY
 
 FAULTS = 3
-"""Number of answers in a row that mean nothing after which an episode ends."""
+"""Number of consecutive meaningless answers after which an episode ends."""
 MOST_ANSWER_TOKENS = 600
 """Number of tokens that an answer may have."""
 RULES = (
@@ -51,7 +51,7 @@ class Decision(NamedTuple):
     model: str
     """Name of the model as the endpoint states it."""
     result: str = ""
-    """Reason why the answer means nothing; empty if it was carried out."""
+    """Reason why the answer is meaningless; empty if it was carried out."""
 
 
 def language_model(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
@@ -91,9 +91,9 @@ class LanguageModelPolicy:
     """Asks a language model for the next piece of work of an agent whenever the last one has ended."""
 
     is_remote = True
-    """Constant True: what is recorded is repeated without asking the language model."""
+    """Constant True: a replay repeats the recorded decisions without asking the language model."""
     interrupts_every = 3
-    """Number of steps from one question whether it stops to the next."""
+    """Number of steps between two checks for a reason to stop."""
 
     def __init__(self, where: Address, endpoint: Endpoint, task: Any, episode: Any, number: int) -> None:
         """Prepare for an episode; nothing is asked yet.

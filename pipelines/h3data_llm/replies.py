@@ -21,7 +21,7 @@ class RecordedModel(NamedTuple):
     policy: str
     agent: int
     where: Address
-    """Options, without an address."""
+    """Options of the model, without its address."""
     decisions: tuple[Decision, ...]
 
 
@@ -87,13 +87,13 @@ class Replayed(NamedTuple):
 
     model: RecordedModel
     request: int
-    """Number of the first request that is another one today; -1: none is."""
+    """Number of the first request that differs today; -1: none."""
     meaning: int
     """Number of the first answer that is understood today and was not then, or the other way round; -1: none."""
     step: int
     """First step that differs; -1: none does."""
     fault: str = ""
-    """Sentence about why the episode could not be played to its end."""
+    """Reason, as a sentence, why the episode could not be played to its end."""
 
 
 def played_again(recording: Recording) -> list[Replayed]:

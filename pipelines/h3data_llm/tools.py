@@ -17,7 +17,7 @@ from sim_kinematic.agents.skills import INSIDE
 
 LONGEST_WAIT_S = 60
 MOST_CONTENT = 4000
-"""Number of characters of an answer's text, at most; the rest is cut off."""
+"""Largest number of characters of an answer's text; the rest is cut off."""
 _ACTION = re.compile(r"^[ \t]*Action:[ \t]*(\w+)[ \t]*\[(.*)\][ \t.]*$", re.MULTILINE)
 
 
@@ -26,7 +26,8 @@ class Parameter(NamedTuple):
 
     name: str
     kind: str
-    """``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or ``how``."""
+    """Kind of value: ``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or
+    ``how``."""
     about: str
     optional: bool = False
 

@@ -27,7 +27,7 @@ TRIES = 3
 SPOTS = 5
 """Number of attempts to find a free spot at a place."""
 LONG = 300
-"""Number of steps of one ``wait`` of an agent that has nothing to do."""
+"""Number of steps of one ``wait`` of an agent without work."""
 
 
 class Worker:

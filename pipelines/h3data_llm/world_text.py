@@ -17,9 +17,9 @@ from sim_kinematic.agents.skills import INSIDE
 from sim_kinematic.motion.state import NOBODY
 
 MESSAGES = 8
-"""Number of the latest messages that a language model is shown."""
+"""Number of the latest messages in a request to a language model."""
 OVER_M = 0.05
-"""A thing whose origin is this far below a surface still lies on it [m]."""
+"""Largest distance of a thing's origin below a surface on which it lies [m]."""
 
 
 class WorldText:

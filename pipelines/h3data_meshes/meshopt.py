@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 BYTES_MAX = 1 << 30
-"""A view that claims to unpack to more is refused before anything is allocated."""
+"""Largest unpacked size of a view; larger ones are refused before anything is allocated."""
 _ATTRIBUTES, _TRIANGLES, _INDICES = 0xA0, 0xE1, 0xD1
 """First byte of a stream of each mode."""
 _BLOCK_BYTES, _BLOCK_ELEMENTS, _GROUP = 8192, 256, 16

@@ -42,11 +42,11 @@ class Bvh:
     """A parsed file: angles in degrees, lengths in its own units."""
 
     joints: tuple[BvhJoint, ...]
-    """Parents before children."""
+    """Joints, parents before children."""
     values: Array
     """Channel values, joint by joint, shape [T, C]."""
     frame_s: float
-    """Seconds per frame."""
+    """Duration of a frame [s]."""
 
     def rest_places(self) -> Array:
         """Return joint places without any rotation, shape [J, 3]; the root at its offset."""

@@ -36,12 +36,12 @@ class Motion:
 
     name: str
     fps: float
-    """Frames per second."""
+    """Number of frames per second."""
     quats: Array
     """Local joint rotations xyzw, SMPL-X order, shape [T, 55, 4], sign-continuous; the pelvis' is in the start frame
     (its own axes: +Z forward, +Y up, +X left)."""
     pelvis: Array
-    """Pelvis joint in the start frame, shape [T, 3] [m]."""
+    """Position of the pelvis joint in the start frame, shape [T, 3] [m]."""
     leg_m: float | None = None
     """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
     body: str = ""

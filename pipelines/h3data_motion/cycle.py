@@ -29,12 +29,13 @@ from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22
-"""Joints that are compared; fingers and face say nothing about a cycle."""
+"""Joints that are compared: all but fingers and face."""
 VELOCITY_S = 0.15
-"""A difference in velocity of 1 m/s counts as this many metres of distance."""
+"""Weight of a difference in velocity: 1 m/s counts as this many metres of distance [s]."""
 SEARCH_FPS = 60.0
 ALIKE = 0.1
-"""A shorter loop is taken if it closes worse than the best one by up to this share of what poses differ: one cycle, not two."""
+"""Share of the variation of poses by which a shorter loop may close worse than the best one: one cycle is preferred to
+two."""
 WALKS_M, TURNS_RAD = 0.15, np.radians(20.0)
 """Distance per cycle above which a clip is played by distance, and turn per cycle above which it is played by the turn."""
 

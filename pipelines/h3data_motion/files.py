@@ -29,15 +29,15 @@ class ReadOptions:
     """Facts that a motion file may not contain."""
 
     up: Up = "z"
-    """AMASS: axis of the file's world that points up."""
+    """Axis of an AMASS file's world that points up."""
     fps: float | None = None
-    """AMASS: frames per second, for files that do not say."""
+    """Frames per second of AMASS files that do not state them."""
     names: str | Path | None = None
-    """BVH: table of joint names, built-in or TOML; None takes the built-in one that fits."""
+    """Table of joint names for BVH, built-in or TOML; None takes the built-in one that fits."""
     unit_m: float | None = None
-    """BVH: metres per unit; None guesses it from the legs."""
+    """Metres per unit of BVH files; None guesses it from the legs."""
     source: str = ""
-    """Origin and licence, kept with the motion."""
+    """Origin and licence, stored with the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class MotionReader:
     fits: Callable[[bytes, Sequence[str]], bool]
     """Function that returns whether a file is of this kind, by its first 256 bytes and, of an npz, the names of its arrays."""
     read: Callable[[Path, ReadOptions], Motion]
-    """The motion in a file."""
+    """Function that reads the motion in a file."""
     suffixes: tuple[str, ...]
     """Endings of such files, in lower case: `h3data motion import` collects them from folders."""
 

@@ -27,18 +27,18 @@ SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
 """Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
-"""Phases at which the right foot may strike: beyond it the right step is no step."""
+"""Range of phases in which the right foot may strike; outside of it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
-"""Shares of the cycle that a foot may be on the floor, walking and running."""
+"""Range of the share of the cycle that a foot may be on the floor, walking and running."""
 FLAT = (0.25, 0.55)
 """Part of the stance in which a foot is flat."""
 TILT_DEG, LEVEL_DEG = 20.0, 1.5
-"""A flat foot may seem tilted by so much, which is taken out; what is left below `LEVEL_DEG` is noise."""
+"""Largest apparent tilt of a flat foot, which is removed; and tilt below which the rest is noise."""
 SMOOTH_FRAMES = 1.5
 TWITCH_M = 0.15
 """Largest movement of a joint against the pelvis in 1/30 s [m], except for the legs, which are computed anew."""
 STILL_RAD = 0.03
-"""Fingers that move less have not been captured."""
+"""Motion of fingers below which they have not been captured [rad]."""
 
 _LEGS = {f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")}
 _FINGERS = [JOINT_INDEX[f"{side}_{finger}{k}"] for side in ("left", "right") for finger in FINGERS for k in (1, 2, 3)]

@@ -13,9 +13,9 @@ from h3data_motion.clip import Motion
 from h3data_motion.contacts import find_contacts, leg_frames, planted
 
 ADULT_LEG_M = 0.80
-"""Thigh and shank of an adult: for motion that says neither how long its legs are nor shows it by walking."""
+"""Lengths of thigh and shank of an adult, for motions that state no lengths and do not show them by walking."""
 SCALES = (0.5, 2.0)
-"""A scale that planted feet ask for is believed within these."""
+"""Range of scales, estimated from planted feet, that are accepted."""
 FLOOR_PERCENTILE = 20.0
 
 
@@ -28,7 +28,7 @@ class FootReport:
     slide_mm: float
     """Mean distance that a touching foot slides along the floor per 1/30 s [mm]."""
     slide_max_mm: float
-    """The largest one [mm]."""
+    """Largest distance that a touching foot slides along the floor per 1/30 s [mm]."""
     lowest_mm: float
     """Lowest point of any sole [mm]; negative is in the floor."""
 

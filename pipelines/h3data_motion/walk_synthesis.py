@@ -20,14 +20,14 @@ from h3data.geometry import Array, heading_from_quat, wrap_angle
 SYNTHETIC_BODY = "neutral_0"
 """Body for people of whom only the root is known."""
 SAME_FLOOR_M = 0.15
-"""A floor nearer than this to the robot's is the robot's [m]."""
+"""Height difference from the robot's floor below which people are on the same floor [m]."""
 WINDOW_S = 0.5
-"""Speeds are means over this time."""
+"""Time over which speeds are averaged [s]."""
 TURN_ABOVE_RAD_S = 0.4
 JUMP_MPS = 8.0
-"""Speed that nobody reaches by walking: a faster step is a jump to another place [m/s]."""
+"""Speed above which a step is a jump to another place: nobody walks as fast [m/s]."""
 BLEND_S = 0.25
-"""Transition from standing to the clip and back."""
+"""Duration of the transition from standing to the clip and back [s]."""
 
 
 def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:

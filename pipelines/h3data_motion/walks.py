@@ -25,11 +25,13 @@ LEAST_FPS, KEPT_FPS = 20.0, 60.0
 CUT_M, CUT_MPS2 = 0.02, 25.0
 """Joints jump where their mean change of velocity in a frame is larger than this: a length, and an acceleration besides."""
 PACE_S, WALKS_SHARE, LEAST_MPS = 0.6, 0.7, 0.3
-"""A person walks while their speed over `PACE_S` is above this share of the fastest, and the fastest above `LEAST_MPS`."""
+"""Time over which speeds are measured [s], share of the fastest speed above which a person walks, and least fastest
+speed [m/s]."""
 CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
 """Length of a cycle of two steps, and of the parts before and after it that are stored [s]."""
 GAP_SHARE = 0.75
-"""The end of a cycle may differ from its start by this share of how poses differ from their mean; opposite ones have 1.3."""
+"""Share of the poses' deviation from their mean by which the end of a cycle may differ from its start; opposite poses
+have 1.3."""
 
 
 def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:

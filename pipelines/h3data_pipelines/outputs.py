@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Form = Literal["h264", "av1", "ffv1", "png"]
 Format = Literal["mp4", "av1", "png", "data"]
 ToPicture = Callable[[NDArray[Any], int], NDArray[Any]]
-"""Converts the rendered image of a step to the one that is stored."""
+"""Function that converts the rendered image of a step to the stored one."""
 
 OutputName = Literal["rgb", "depth", "instance", "semantic"]
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)

@@ -61,9 +61,9 @@ class SessionManifest:
     path: Path
     rows: tuple[ManifestRow, ...]
     ignored: tuple[str, ...]
-    """Columns that mean nothing here."""
+    """Names of columns without a meaning."""
     used: set[int] = field(default_factory=set)
-    """Lines of the rows that fitted a recording."""
+    """Lines of the rows that matched a recording."""
 
     def applied(self, recording: Recording, file: PurePosixPath) -> tuple[Recording, bool]:
         """Return the recording with what the rows say about it in `Episode.info`, and whether any row fitted.

@@ -20,11 +20,11 @@ class SkillScore(NamedTuple):
     """The end of a skill."""
 
     outcome: str
-    """``done`` or ``failed``."""
+    """Outcome of the skill: ``done`` or ``failed``."""
     reason: str
     steps: int
     path_m: float
-    """Length of the shortest path to where the target is reached from, at the start."""
+    """Length of the shortest path, at the start, to the place from which the target can be reached [m]."""
     contact: int
     """Number of steps in which the base touched the home."""
 

@@ -29,11 +29,11 @@ class Hits(NamedTuple):
     """The first surface that each ray [...] meets."""
 
     distance: NDArray[np.float32]
-    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss. Shape [...]."""
+    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss, shape [...]."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = miss. Shape [...]."""
+    """Index into the scene's instances, -1 = miss, shape [...]."""
     triangle: NDArray[np.int32]
-    """Triangle of the instance's mesh, -1 = miss. Shape [...]."""
+    """Triangle of the instance's mesh, -1 = miss, shape [...]."""
     barycentric: NDArray[np.float32]
     """Weights of the triangle's second and third vertex, shape [..., 2]."""
 
@@ -232,7 +232,7 @@ class LidarScan(NamedTuple):
     """Result of one revolution of a lidar."""
 
     distance: NDArray[np.float32]
-    """Shape [L, C] [m]; 0 = no surface within range."""
+    """Distance [m], 0 = no surface within range, shape [L, C]."""
     instance: NDArray[np.int32]
     """Index into the scene's instances, -1 = miss, shape [L, C]."""
     points: NDArray[np.float64]

@@ -42,7 +42,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """Form of a server's requests and answers."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,40}$")] = "adapter"
-    """Recorded as the policy's name where the server has none."""
+    """Name of the policy in recordings, for servers that state none."""
     observation: dict[str, Entry] = {}
     """Observations by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
     light: LightMode = "flat"
@@ -55,12 +55,12 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
     """Key of the chunk of actions in an answer; if several keys are given, their columns are put side by side."""
     columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
-    """Columns of a chunk that are the robot's, in this order; empty: all."""
+    """Columns of a chunk that are the robot's, in order; empty: all."""
     action: Literal["base", "control"] = "base"
-    """``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a number for each joint of
-    the arm and one for the grip, likewise."""
+    """Kind of action. ``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a
+    number for each joint of the arm and one for the grip, likewise."""
     hold: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
-    """Actions of a chunk that are carried out before the server is asked again, one for each step of 1/30 s."""
+    """Number of actions of a chunk that are carried out, one for each step of 1/30 s, before the next request."""
     timeout_s: Seconds = 30.0
     first_timeout_s: Seconds = 300.0
     """Timeout of the first answer of a server, which may have to compile its model."""
@@ -69,7 +69,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
 
 DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
-"""Name of the adapter by the scheme of an address, for servers that bring none of their own."""
+"""Name of the adapter by the scheme of an address, for servers without an adapter of their own."""
 
 
 def built_in_adapters() -> tuple[str, ...]:

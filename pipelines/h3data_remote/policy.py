@@ -26,9 +26,10 @@ from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.policy import Velocity
 
 OWN = "h3data"
-"""Entry of a server's metadata that is for us: ``name``, ``adapter``, ``batch``, ``view``."""
+"""Entries of a server's metadata for h3data: ``name``, ``adapter``, ``batch``, ``view``."""
 MOST_METADATA = 4096
-"""Number of bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
+"""Largest size of a server's metadata, as JSON, that is recorded [bytes]; of larger metadata only the digest is
+recorded."""
 _ANSWERED: set[str] = set()
 """Servers that have answered this process before, so that they need not compile any more."""
 
@@ -93,7 +94,8 @@ class RemotePolicy:
     """
 
     is_remote = True
-    """Constant True: the recorded actions are repeated without asking the policy (`sim_kinematic.policies.recorded`)."""
+    """Constant True: a replay repeats the recorded actions without asking the policy
+    (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
         """Connect to the server.

@@ -38,7 +38,7 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-042") from error
 
 MOST_SESSIONS = 256
-"""Greatest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
+"""Largest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
 log = logging.getLogger("h3data.remote")
 
 

@@ -26,7 +26,7 @@ NAMES = {
 """Accepted names of columns in lower case, by meaning; the first that a file has is used."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 EPOCH_S = 1e8
-"""Times above this are seconds since 1970, which tells ATC's tables from others of eight numbers."""
+"""Time above which values are seconds since 1970, which distinguishes ATC's tables from others of eight numbers."""
 MAGNI_HZ = 100.0
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?nan\s*", re.IGNORECASE)
 _HEADER_LINES = 200
@@ -51,9 +51,9 @@ class TrackTable:
     heading: Array | None = None
     """Headings about +z [rad] [N]."""
     unit: str = "m"
-    """Unit that this kind of file has."""
+    """Unit of length in this kind of file."""
     left_out: Sequence[str] = ()
-    """Bodies in the file that are no people."""
+    """Number of bodies in the file that are not people."""
 
 
 def parse_table(text: str, columns: Sequence[str], robot: str, *, path: object) -> TrackTable:

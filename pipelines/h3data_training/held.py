@@ -16,14 +16,14 @@ class ActionRepeat:
     """
 
     counts: tuple[str, ...]
-    """Sums over worlds and steps that `totals` keeps."""
+    """Names of the sums over worlds and steps in `totals`."""
     play: Any
     """State of all worlds; overwritten by every step."""
     hold: int
     counted: Tensor
-    """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
+    """True for worlds that `totals` counts, bool [W]: those in which no teacher acts."""
     shown: Tensor | None = None
-    """Worlds in which a teacher acts as long as it has a weight, bool [W]; None: in none."""
+    """True for worlds in which a teacher acts as long as it has a weight, bool [W]; None: in none."""
     _advance: Callable[[], None]
     """`_eager`, or the CUDA graph that was captured of it."""
     _action: Tensor

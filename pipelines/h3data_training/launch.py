@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 LOOK_S = 0.5
-"""Time between two checks for a request to stop [s]."""
+"""Interval between checks for a request to stop [s]."""
 
 
 class StopRequest(Protocol):

@@ -17,7 +17,7 @@ from h3data_training.settings import CRITIC, Settings
 from h3data_training.torch.episodes import EpisodeBank
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
-"""Sums over worlds and steps that `ActionRepeatEnv.totals` keeps."""
+"""Names of the sums over worlds and steps in `ActionRepeatEnv.totals`."""
 
 
 class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 VERSION = 1
 """Version that is part of every key: raise it when a reader changes its results."""
 ROOM_BYTES = 4e9
-"""Size of all conversions above which the least recently used ones are deleted [bytes]."""
+"""Total size of conversions above which the least recently used ones are deleted [bytes]."""
 _LICENCES = ("license", "licence", "copying", "notice")
 _SHOWN_CHARACTERS = 2000
 

@@ -23,7 +23,7 @@ class H3DataEnvConfig(EnvConfig):
     scenes: str | None = None
     """Homes of new episodes, with commas between: names such as h3-homes/test (default: those of the dataset)."""
     episodes: str = "sampled"
-    """``sampled``: new episodes. ``recorded``: those of the dataset; seed k begins number k."""
+    """Kind of episodes. ``sampled``: new ones. ``recorded``: those of the dataset; seed k begins number k."""
     cameras: str | None = None
     """Cameras to show, with commas between (default: all of the dataset)."""
     max_steps: int | None = None

@@ -12,9 +12,9 @@ class Company(Protocol):
     """Agents of one world, by number."""
 
     agreed: bool
-    """All step aside for each other when they are asked."""
+    """True if all agents step aside for each other when they are asked."""
     solid: bool
-    """People who are driven from outside slide along the discs of the others."""
+    """True if people who are driven from outside slide along the discs of the others."""
     # untyped, because the modules of the actors import this one
     actors: Sequence[Any]
     bodies: list[Any]

@@ -62,7 +62,7 @@ CARRY = (0.27, 0.80, 0.15)
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 SNAP_M = 0.01
-"""Distance from its palm within which a hand takes hold of an object [m]."""
+"""Distance from the palm within which a hand takes hold of an object [m]."""
 EASE_M, JOINT_STEP_RAD = 0.08, 0.18
 """Part of the path over which the trunk goes from standing to reaching [m], where an empty hand may leave its line by 8 mm;
 largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed it."""
@@ -70,17 +70,17 @@ SETTLE_STEPS, CLOSE_ENOUGH = 45, 0.1
 """Number of steps within which feet get to their standing places; remaining distance from the carrying pose, as a share, at
 which a person begins to walk."""
 FADE_STEPS = 12
-"""Steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
-it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
+"""Number of steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end
+is exact. Without it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
-"""Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
+"""Radius that a hand closes around if no size is known, and the range of possible radii [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
 """Length and half thickness of a bone of a finger [m]."""
 REST_CURL, OPEN_CURL, HANDLE_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 0.9, 1.1, 0.12
 """Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, around a handle, at
 most, and by which it changes in a step."""
 CLOSES_FROM = 0.8
-"""Share of the path to a thing from which on a hand closes."""
+"""Share of the path to a thing after which a hand begins to close."""
 ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
     side: np.array(
         [
@@ -93,7 +93,8 @@ ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
 """Joints from above the pelvis to each wrist."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
-"""The hand sets off after this many steps at most, or when the head has less than this left to turn."""
+"""Largest number of steps that the hand waits for the head, and remaining turn of the head below which it sets off
+[rad]."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -103,11 +104,12 @@ class MotionResult:
 
     success: bool
     reason: str = ""
-    """Reason why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
+    """Reason for the failure: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
+    """Distance from the target to the hand (or the object that it puts down), where it is or where it would be nearest
+    [m]."""
     base_motion: BaseMotion | None = None
-    """Motion to a place from which the target is reached (see `Person.approach`); None when that does not help either."""
+    """Motion to a place from which the target is reached (see `Person.approach`); None if no such motion helps."""
 
 
 Skill = Generator[object, None, MotionResult]
@@ -117,9 +119,9 @@ class Frame(NamedTuple):
     """State of a person in one step: the free-form pose columns of a recording, and the objects."""
 
     base: Array
-    """Agent root, pose7 [7]."""
+    """Pose (pose7) of the agent root [7]."""
     root: Array
-    """Pelvis in the world, pose7 [7]."""
+    """Pose (pose7) of the pelvis in the world [7]."""
     joints: Array
     """Local rotations of the other joints, shape [54, 4]."""
     objects: dict[str, Array]
@@ -140,12 +142,12 @@ class Transition(NamedTuple):
     """Progress of a person from one kind of motion to another, such as from walking to reaching."""
 
     kind: str = ""
-    """Kind of the last pose: ``walk``, ``reach``, or nothing where it was set from outside."""
+    """Kind of the last pose: ``walk``, ``reach``, or empty if it was set from outside."""
     quats: Array | None = None
-    """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
+    """Last pose [55, 4] of the previous kind of motion; None if there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """Share of the last pose that is still blended in, from 1 to 0."""
+    """Remaining share of that pose in the blend, from 1 to 0."""
 
 
 class Person:

@@ -24,13 +24,15 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 WAYS_KEPT, ANSWERS_KEPT = 1000, 10_000
-"""Paths of a body's hand that are remembered, 30 kB each, and answers, 300 bytes each. A home has about 500 paths: one for each
-height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
+"""Number of cached paths of a body's hand, 30 kB each, and of cached answers, 300 bytes each. A home has about 500
+paths: one for each height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went
+into computing them again."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
 }
-"""Parts of the body that may be inside the thing on which the point lies, as an object on a shelf is taken from inside it."""
+"""Parts of the body that may be inside the furniture with the point, as an object on a shelf is taken from inside
+it."""
 
 
 class _Part(NamedTuple):

@@ -34,9 +34,10 @@ from sim_kinematic.motion.stride import CREEP_MPS, Strider
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Number of steps in which a person cannot step aside without touching somebody, and number of steps that they then go back."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
-"""Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
+"""Speeds at which people step sideways and back: without turning, and while they turn in their direction of motion
+[m/s]."""
 ASIDE_LEG_M = 0.05
-"""Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
+"""Least distance between points of a path aside [m]: people would brake at every point of a rounded corner."""
 HALT_STEPS, TURN_PATIENCE_STEPS = 30, 10
 """Number of steps in which a walking person who is asked to turn comes to a stand, and for which they wait for room to turn on
 the spot; after them they turn while walking."""
@@ -71,13 +72,13 @@ class PersonActor:
     spec: WalkerSpec
     objects: Objects
     number: int = HUMAN
-    """Number of the agent."""
+    """Index of the agent."""
     room: BodyClearance | None = None
     """Check of the room for the body; None: nothing is checked."""
     others: tuple[ObservedAgent, ...] = ()
-    """Other agents that the person gives way to, the nearest first."""
+    """Other agents to which the person gives way, the nearest first."""
     company: Company | None = None
-    """Agents that the person gives way to, itself included; None: it is alone."""
+    """Agents to which the person gives way, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False

@@ -32,7 +32,7 @@ class AgentSpec:
 
     kind: Kind
     name: str
-    """Name in recordings: the kind, numbered where there are several of it."""
+    """Name in recordings: the kind, numbered if there are several of it."""
     model: str
     """Name of a body or a path, as `load_robot` and `load_humanoid` take it."""
     body: Body

@@ -39,11 +39,11 @@ PRIMITIVES = {
 }
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
-"""Skill that is one step of a robot's lower layer: base, arm and hand by `Action.command`."""
+"""Skill of one step of a robot's lower layer: base, arm and hand by `Action.command`."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
-"""Skills in homes with things that open; their target is the number of a joint."""
+"""Skills in homes with doors and drawers that open; their target is the number of a joint."""
 SIT = "sit"
-"""Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
+"""Skill of a person who is driven from outside: walk to the nearest seat and sit there until another command."""
 SEARCH = "nav_to_place"
 """Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
 ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
@@ -82,7 +82,7 @@ REASONS = {
     "too_far": "It is too far away to reach from here.",
     "wrong_object": "The hand took something else.",
 }
-"""Sentences for the short words that recordings hold about skills that were refused or failed."""
+"""Sentences for the short words in recordings about skills that were refused or failed."""
 
 
 def sentence(reason: str) -> str:
@@ -106,7 +106,7 @@ class Action(NamedTuple):
 
 
 INSIDE = "inside "
-"""Begins the names of places behind doors and in drawers."""
+"""Beginning of the names of places behind doors and in drawers."""
 
 
 class Destination(NamedTuple):
@@ -115,7 +115,7 @@ class Destination(NamedTuple):
     place: str
     """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
     next_to: str = ""
-    """Name of the object next to which it goes; empty: anywhere."""
+    """Name of the object next to which it has to be put; empty: anywhere."""
 
     def __str__(self) -> str:
         return f"{self.place} next to {self.next_to}" if self.next_to else self.place
@@ -128,7 +128,7 @@ class Destination(NamedTuple):
 
 
 LONGEST_MESSAGE = 500
-"""Number of characters of a message, at most."""
+"""Largest number of characters of a message."""
 
 
 class Message(NamedTuple):
@@ -136,7 +136,7 @@ class Message(NamedTuple):
 
     text: str
     to: str = ""
-    """Name of the agent who hears it; empty: all do."""
+    """Name of the agent that receives it; empty: all agents."""
 
     @property
     def action(self) -> Action:
@@ -203,11 +203,12 @@ class Objects:
     goals: NDArray[np.float64]
     """Goals of the objects, shape [K, 3] [m]."""
     state: WorldState
-    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
+    """State of the objects: ``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1,
+    J]."""
     joints: tuple[str, ...] = ()
     """Names of the home's doors and drawers."""
     scene: Scene | None = None
-    """The home, with doors and drawers where they last stood still."""
+    """Home with doors and drawers where they last stood still."""
     openables: Any = None
     """Doors and drawers of the home, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None if nothing opens."""
     sight: Any = None

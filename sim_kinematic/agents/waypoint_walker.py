@@ -29,20 +29,20 @@ class WaypointSpec:
     """Constants of walks along way points."""
 
     most_steps: int = 20_000
-    """Number of steps that no walk to one goal reaches: eleven minutes."""
+    """Number of steps that no walk to one goal takes: eleven minutes."""
     arc_step_m: float = 0.08
-    """Distance below which way points belong to one rounded corner (5 cm apart at a radius of 0.25 m) [m]."""
+    """Distance below which waypoints belong to one rounded corner [m] (5 cm apart at a radius of 0.25 m)."""
     arc_turn_max: float = 1.75
-    """Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
+    """Angle above which corners are not rounded [rad]: their tangents meet far away."""
     min_walk_m: float = 1.5
     """Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
     aside_step_m: float = 0.02
-    """A way point is moved away from what is near in steps of this length."""
+    """Length of the steps in which a waypoint is moved away from obstacles [m]."""
     ahead_m: float = 0.2
-    """Sampled goals are so much farther from everything than `WalkerSpec.clearance_m`: people may run at a wall there, hands
-    first."""
+    """Distance of sampled goals from obstacles beyond `WalkerSpec.clearance_m` [m]: people may run at a wall there,
+    hands first."""
     apart_m: float = 0.15
-    """Way points are not moved nearer together than this: short legs mean turning on the spot."""
+    """Distance below which moving would bring waypoints too near together [m]: short legs mean turning on the spot."""
 
 
 WAYPOINTS = WaypointSpec()
@@ -60,7 +60,7 @@ class WaypointHuman:
     goal: int = -1
     """Index of the current goal, -1 before the first."""
     leg: int = 0
-    """Index of the way point within the path to the goal."""
+    """Index of the waypoint within the path to the goal."""
     goals: list[NDArray[np.float64]] = field(default_factory=list)
     """Goals so far, ``(x, z)`` each."""
     _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -219,7 +219,7 @@ class HumanPlan(NamedTuple):
     xz: NDArray[np.float64]
     """Positions of the person after each step, shape [steps, 2] [m]."""
     goals: list[NDArray[np.float64]]
-    """The points that the person walks to, one after the other, ``(x, z)`` each [m]."""
+    """Points that the person walks to, one after the other, ``(x, z)`` each [m]."""
 
 
 def human_plan(

@@ -53,7 +53,7 @@ class Walker(Body, Protocol):
     """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
     stand."""
     hindered_by: frozenset[int]
-    """Agents that the agent would have touched in its last step, had it not stopped."""
+    """Agents with which the agent would have collided in its last step, had it not stopped."""
 
 
 @dataclass

@@ -17,8 +17,8 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 
 CARRIED_M = 0.11
-"""Radius of a ball that stands for what a robot carries: of the objects in `h3-homes` only boxes of books have corners farther
-from their middle, 14 cm."""
+"""Radius of a ball that represents what a robot carries [m]: of the objects in `h3-homes` only boxes of books have
+corners farther from their middle, 14 cm."""
 _RULES = BaseSpec()
 """Default rules, from which the rules of a task may differ."""
 

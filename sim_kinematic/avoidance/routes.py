@@ -97,7 +97,7 @@ class FloorRoutes:
 
     free: FreeSpace
     origin: NDArray[np.float64]
-    """Lower corner of cell [0, 0]."""
+    """Lower corner (x, z) of cell [0, 0] [m]."""
     centres: NDArray[np.float64]
     """Centre of each cell, [nx, nz, 2] [m]."""
     room: NDArray[np.float64]

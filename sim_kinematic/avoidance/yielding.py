@@ -15,7 +15,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import ObstacleDisc
 
 NO_PATH = np.zeros((0, 2))
-"""The path of an agent that goes nowhere."""
+"""Path of an agent without a destination."""
 
 
 class ObservedAgent(NamedTuple):
@@ -30,7 +30,7 @@ class ObservedAgent(NamedTuple):
     is_robot: bool
     heading: float = 0.0
     steps_aside: bool = False
-    """True if the agent goes nowhere and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
+    """True if the agent has no destination and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
     footprint: Footprint = AVOIDANCE.person
 
 

@@ -19,7 +19,7 @@ from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.fcl_world import Contact, MovingShapes, collide, contacts, distance
 
 NEAR_M = 1e-3
-"""Capsules nearer than this are left to FCL, whose word on what touches is right to about 1e-6 m."""
+"""Distance below which capsules are tested by FCL, which decides contact to about 1e-6 m [m]."""
 
 
 class AgentContacts:

@@ -25,14 +25,15 @@ AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
 VIEW_RAD = math.pi / 2
 """Angle to the others of a group beyond which a member turns the head and walks slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
-"""A member slows down to the first share of the speed at most while the company is within this distance, else to the second. So
-nobody stands still in a passage, where the members walk one behind the other."""
+"""Distance from the company [m] within which a member slows down to the first share of the speed at most, else to the
+second. So nobody stands still in a passage, where the members walk one behind the other."""
 ONWARD = 0.3
 """Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
 BETWEEN_M = 0.3
-"""Somebody who stands between two members of a group makes the way from one to the other longer by less than this [m]."""
+"""Detour below which somebody stands between two members of a group [m]: the path from one to the other by way of that
+person is longer by less."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300

@@ -24,11 +24,11 @@ class Reaction(NamedTuple):
     lasts_s: float = 0.0
     """Time from the first sight after which the reaction is over [s]."""
     again: float = 0.0
-    """Flag: 1 if the reaction begins anew at the next sight after that."""
+    """Flag: 1 if the reaction begins anew at the next sight after its end."""
     speed_mps: float = 0.0
     """Walking speed during the reaction [m/s]."""
     by_distance: float = 0.0
-    """Flag: 1 if this speed is multiplied by the distance over ``within_m``."""
+    """Flag: 1 if this speed is multiplied by the distance divided by ``within_m``."""
     approach: float = 0.0
     """Flag: 1 if the person walks up to the robot."""
     before_m: float = 0.0
@@ -47,11 +47,11 @@ REACTIONS: dict[str, Reaction] = {
     "scared": Reaction(3.0, 40.0, 1.0, speed_mps=0.6, repulsion_m2_s2=20.0 * 0.2),
     "threatening": Reaction(4.0, 40.0, speed_mps=2.0, approach=1.0, before_m=1.1, stand_m=1.2),
 }
-"""Reactions by name. ``regular`` takes the robot for another person, ``impassive`` for furniture."""
+"""Reactions by name. ``regular`` treats the robot as another person, ``impassive`` as furniture."""
 IMPASSIVE = list(REACTIONS).index("impassive")
 """Number of the reaction ``impassive``."""
 TABLE = np.array(list(REACTIONS.values()))
-"""The numbers that the kernels take, [6, 9], by number of the reaction."""
+"""Parameters of the reactions for the kernels, [6, 9], by number of the reaction."""
 VIEW_RAD = math.radians(100.0)
 """Angle from the direction of their gaze up to which people see robots [rad]."""
 

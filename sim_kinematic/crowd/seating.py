@@ -31,13 +31,14 @@ SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
 STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps and of turns before a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
-"""Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
+"""Distances between the places where people turn and where they stand before they sit down [m], of which the first with
+room is used."""
 ROOM_M = 0.27
-"""Least distance of that place from obstacles [m]."""
+"""Least distance of the place of the turn from obstacles [m]."""
 DEPTH_M = 0.018
 """Depth by which the collision shapes of a seated person may be in the seat, as cushions give way [m]."""
 BESIDE_M = 0.8
-"""Seats within this distance of a table or desk belong to it."""
+"""Distance from a table or desk within which seats belong to it [m]."""
 APART_M, LIES_APART_M = 0.75, 1.6
 """Least distance between people who sit side by side, and of those who sit down from the hips of somebody who lies [m]."""
 

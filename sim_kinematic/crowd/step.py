@@ -22,18 +22,18 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
 FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
-"""Distance at which a foot of somebody who sets off steps ahead [m], time by which the speed adds to it [s], and room that the
-foot needs there [m]."""
+"""Distance ahead of the first foot of a person who sets off [m], time whose product with the speed is added to it [s],
+and room that the foot needs [m]."""
 CREEP_MPS = 0.25
-"""Speed up to which people step in any direction, whatever they look at [m/s]."""
+"""Speed up to which people step in any direction, independent of their heading [m/s]."""
 AHEAD_M = 0.1
 """Length of the steps in which narrow places are searched along a path [m]."""
 PROGRESS_M = 0.25
-"""Progress along the path by which a person does not count as stuck [m]."""
+"""Progress along the path above which a person does not count as stuck [m]."""
 SLIDES = 3
-"""Number of attempts to go past others whom a step would touch."""
+"""Number of attempts to move past others with whom a step would collide."""
 SEATED = 3.0
-"""Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
+"""Value in ``stays`` of people who sit down, sit or get up, whose places are prescribed."""
 BACK_M, START_M = 1.5, 0.1
 """Distance that people in a narrow place go back along their path to let others through, and distance from its beginning within
 which they cannot [m]."""

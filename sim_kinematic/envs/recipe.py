@@ -20,7 +20,7 @@ class EnvRecipe:
     function: ClassVar[str] = "h3data:make"
     """Reference to the function that makes environments. It is a name, as the function is in a layer above."""
     task: Any
-    """Name, ``module:Class``, or a `Task`."""
+    """Task: a name, ``module:Class``, or a `Task`."""
     scenes: Any
     options: Mapping[str, Any]
 

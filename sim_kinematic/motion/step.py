@@ -25,7 +25,8 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
-"""Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
+"""Share of their speed at which robots move on stairs, in the plan, and the distance before stairs from which on they
+slow down [m]."""
 SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
 """Alternatives to strict sliding along walls, by name: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6

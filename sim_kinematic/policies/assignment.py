@@ -25,9 +25,9 @@ from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Stil
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 
 Task = Any
-"""`sim_kinematic.tasks.task.Task`, which lies above policies."""
+"""Type of tasks, `sim_kinematic.tasks.task.Task`, which is in a layer above."""
 Episode = Any
-"""`sim_kinematic.tasks.episode.Episode`, which lies above policies."""
+"""Type of episodes, `sim_kinematic.tasks.episode.Episode`, which is in a layer above."""
 
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
@@ -59,7 +59,7 @@ COMMON: Mapping[str, Mapping[str, Callable[[Task, Episode, int], Policy]]] = {
 }
 """Factories of policies of tasks whose agents drive and walk, by kind and name."""
 SOLO = "solo"
-"""Policy of the robots in recordings in which there is none."""
+"""Name of the policy of robots in recordings without robots."""
 
 
 class AssignedPolicy(NamedTuple):
@@ -69,9 +69,9 @@ class AssignedPolicy(NamedTuple):
     name: str
     """Name of the policy, as recorded."""
     kind: str
-    """``robot`` or ``human``."""
+    """Kind of agent: ``robot`` or ``human``."""
     plan: str = ""
-    """The plan that a planner follows in this episode; empty for others."""
+    """Plan that a planner follows in this episode; empty for others."""
 
     @property
     def is_external(self) -> bool:
@@ -181,7 +181,7 @@ def each_of(choice: Any, count: int, kind: str) -> list[Any]:
 
 
 PolicyMaker = Callable[[Episode, int], AssignedPolicy]
-"""Makes a fresh policy for the agent with this number in one episode."""
+"""Function that makes a fresh policy for the agent with this number in one episode."""
 
 
 def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:

@@ -13,7 +13,7 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 
 NEAR_M = 2.0
-"""A maneuver ends, or does not begin, where the person is nearer than this: it does not avoid them."""
+"""Distance from the person below which a maneuver ends or does not begin, as it does not avoid people [m]."""
 
 
 class Maneuvering:

@@ -24,7 +24,7 @@ from h3data.files import part_file
 FILE_FORMAT = "h3data.network/1"
 HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_network."
 RUN_POLICY = "policy.npz"
-"""The policy file in the folder of a training run."""
+"""Name of the policy file in the folder of a training run."""
 PLANES = ".planes"
 """Ending of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20

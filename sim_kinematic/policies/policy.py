@@ -94,7 +94,8 @@ class External:
         )
 
     interrupts_only_when_close = True
-    """`interrupts` returns nothing unless ``view.close``, so that it is only asked then, with a `CloseView`."""
+    """True if `interrupts` returns nothing unless ``view.close``, so that it is only called then, with a
+    `CloseView`."""
 
     def interrupts(self, view: Any) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""

@@ -237,18 +237,18 @@ class RecordedPolicy:
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
-    """Skill and target at each step, [T, 2]. A skill that was running when the recording broke off has no span."""
+    """Skill and target at each step, [T, 2]; a skill that was running at the end of the recording has no span."""
     until: int
-    """Step from which on ``own`` decides and the recording no longer does."""
+    """Step from which on ``own`` decides instead of the recording."""
     own: HighLevelPolicy | None = None
     since: int = 0
-    """Step from which on ``own`` decided in the recording; before it, somebody else did."""
+    """Step from which on ``own`` decided in the recording; before it, another policy did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
     surfaces: tuple[str, ...] = ()
     """Names of the surfaces at which agents look for things."""
     commands: Mapping[tuple[int, int], list[Any]] = field(default_factory=dict)
-    """Commands of ``wait`` that took no time (`told_in`); each is taken out when it is repeated."""
+    """Commands of ``wait`` that took no time (`told_in`); each is removed when it is repeated."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 

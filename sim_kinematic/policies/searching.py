@@ -18,19 +18,19 @@ class SearchSpec:
     """Costs and distances by which places are searched."""
 
     group_m: float = 1.5
-    """Places this near to each other count as seen together from one of them [m]."""
+    """Distance below which places count as visible together from one of them [m]."""
     stand_m: float = 3.0
     """Cost of a stop at a place, as a length of path [m]."""
     opening_m: float = 12.0
-    """Additional cost of opening its door or drawer, as a length of path [m]."""
+    """Additional cost of opening a place's door or drawer, as a length of path [m]."""
     theirs: float = 0.4
-    """Weight of a place that is nearer to the other agent, who may look at it too."""
+    """Weight of a place that is nearer to the other agent, who may check it too."""
     compared: int = 8
     """Number of places, the best by straight lines, that are compared by lengths of paths."""
     avoid_steps: int = 900
     """Number of steps for which a place that could not be reached is avoided."""
     pause: int = 15
-    """Number of steps that an agent waits where there is no place left to look at."""
+    """Number of steps that an agent waits if no places are left to check."""
 
 
 SEARCHING = SearchSpec()
@@ -111,7 +111,7 @@ class Seeking:
     """Planner that searches while it has nothing to do and does not know where all objects are."""
 
     interrupts_every = LOOK_STEPS
-    """Number of steps after which `interrupts` is asked again: agents look around as often."""
+    """Number of steps between calls of `interrupts`, the interval at which agents look around."""
     policy: Any
     search: Search = field(default_factory=Search)
     _searches: bool = False

@@ -34,11 +34,11 @@ FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
 """Side of the squares of pixels that become channels, so that the first convolution works on a 16th of the positions."""
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
-"""Number of planes of each picture that a network may observe. It observes one of them at most."""
+"""Number of planes of each picture that a network may observe. A network observes at most one of them."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
-"""Numbers of an action that move the base, and that close the hand where the arm's joints move."""
+"""Number of values of an action that move the base, and that close the hand if the arm's joints move."""
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,7 +46,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     task: str
     robot: str
-    """Body of the robot that the policy was trained with."""
+    """Body of the robot in training."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
     """Width and height of the picture and of the detector's [pixels]."""
@@ -54,7 +54,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Light in the colours of training, which the policy also observes in play. Files without this entry were trained in flat
     light."""
     hold: int
-    """Steps of 1/30 s for which an action is held."""
+    """Number of steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
     """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS

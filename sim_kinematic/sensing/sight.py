@@ -25,13 +25,13 @@ from sim_kinematic.motion.state import NOBODY
 
 Flags = NDArray[np.bool_]
 HALF_VIEW = math.radians(55.0)
-"""Largest angle on the floor plane between where an agent faces and what it sees [rad]."""
+"""Largest angle on the floor plane between an agent's heading and what it sees [rad]."""
 THING_M, PLACE_M = 8.0, 5.0
 """Largest distances at which things and places are recognized [m]."""
 NEAR_M = 1.2
 """Distance within which an agent sees in all directions [m]: it turns its head."""
 LOOK_STEPS = 6
-"""Number of steps from one look to the next."""
+"""Number of steps between two looks."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
 MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
@@ -43,9 +43,9 @@ class Places(NamedTuple):
     """Surfaces on which things may lie, as one agent knows them."""
 
     points: NDArray[np.float64]
-    """Middle of each surface, [S, 3] [m]."""
+    """Centre of each surface, [S, 3] [m]."""
     looked: Flags
-    """True for each surface at which the agent has looked, [S]."""
+    """True for each surface that the agent has checked, [S]."""
     shut: NDArray[np.int64]
     """Number of the door or drawer that has to be opened first, [S]; -1: none."""
 
@@ -56,7 +56,7 @@ class Boxes(NamedTuple):
     turned: NDArray[np.float64]
     """Rotation from the world to the axes of each box [B, 3, 3]."""
     centers: NDArray[np.float64]
-    """Middle of each [B, 3] [m]."""
+    """Centre of each box [B, 3] [m]."""
     halves: NDArray[np.float64]
     """Half of the size of each box, [B, 3] [m]."""
     bounds: NDArray[np.float64]

@@ -51,11 +51,11 @@ class EpisodePlace:
     spec: Any
     """Rules of the episode."""
     agents: tuple[str, ...] | None = None
-    """Roster that replaces the usual one."""
+    """Roster that replaces the default one."""
     robot: str | None = None
-    """Body that replaces the usual one of robots that are named by their kind."""
+    """Body that replaces the default one of robots that are named by their kind."""
     human: str | None = None
-    """Body that replaces the usual one of people who are named by their kind."""
+    """Body that replaces the default one of people who are named by their kind."""
     assets: tuple[str, ...] = ()
     """Asset folders for objects that the episode adds."""
 
@@ -70,7 +70,7 @@ class EpisodeCodec(Generic[R]):
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
     foreign: ClassVar[str] = ""
-    """Key in ``extra`` of other tools' episodes that the codec understands, such as PARTNR's; empty: there are none."""
+    """Key in ``extra`` of other tools' episodes that the codec supports, such as PARTNR's; empty: there are none."""
 
     def __init__(self, task: Any) -> None:
         """Make the codec of a `sim_kinematic.tasks.task.Task`."""
@@ -191,7 +191,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     starts: tuple[Start, ...]
     """Start of each agent."""
     agents: tuple[str, ...]
-    """The roster, as ``robot:quad_arm``."""
+    """Roster of agents, such as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Further data of the task, `Episode.extra`."""
     seed: int = 0

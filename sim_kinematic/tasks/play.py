@@ -36,7 +36,7 @@ class Rules(Protocol):
     """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
     control: ClassVar[Any]
-    """Makes the controllers of agents (`sim_kinematic.tasks.control.Control`)."""
+    """Function that makes the controllers of agents (`sim_kinematic.tasks.control.Control`)."""
     columns: ClassVar[Mapping[str, Any]]
 
     @property

@@ -29,12 +29,12 @@ class Hud:
     lines: tuple[str, ...] = ()
     """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
-    """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
-    page's own hints. Where it has nothing, the page says what could be done now."""
+    """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), instead of the page's
+    own hints. For devices without an entry, the page lists the possible actions."""
     marker: tuple[float, float, float] | None = None
-    """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
+    """Point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
     uses: tuple[str, ...] = ()
-    """For each object what the player can do to it in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or nothing."""
+    """Actions of the player on each object in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Phrase(NamedTuple):
     """A message that a player sends by one press."""
 
     label: str
-    """Words on the page."""
+    """Words of the button on the page."""
     text: str
     """Text of the message."""
 
@@ -60,10 +60,10 @@ class Spot(NamedTuple):
     """A place that a player can choose from a list."""
 
     name: str
-    """Name by which a message ``bring`` has it."""
+    """Name of the place in a message ``bring``."""
     label: str
     room: str
-    """Words for the place, and for the room under which it is listed."""
+    """Words for the room under which the place is listed."""
 
 
 class App:
@@ -74,7 +74,7 @@ class App:
     """
 
     task: ClassVar[str | type[Task]] = ""
-    """Class of the task, its name, or ``module:Class``."""
+    """Task: its class, its name, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
     """Rules of the task that differ where people play it."""
     seats: ClassVar[tuple[str, ...]] = ("person",)

@@ -34,7 +34,7 @@ from sim_kinematic.tasks.recorder import finished
 from sim_kinematic.tasks.runner import Session
 
 GRID_UNIT_M = 1e-3
-"""Distances of the grid are rounded to this: a prediction is no better than its grid."""
+"""Unit to which distances of the grid are rounded [m]: a prediction is as exact as its grid."""
 
 
 def world_glb(session: Session) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 Letter = tuple[str, str, Any]
-"""Message: its kind, its game or seat, and its content of plain types."""
+"""Message between processes: its kind, its game or seat, and its content of plain types."""
 _LENGTH = 4
 _encoder = msgspec.msgpack.Encoder()
 _decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)

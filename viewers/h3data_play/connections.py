@@ -21,12 +21,13 @@ from h3data_play.seats import Game
 from h3data_play.workers import WorkerProcess
 
 QUEUE = 90
-"""States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
+"""Largest number of states that wait for a slow client; older ones are dropped (each is complete except for objects at
+rest)."""
 SEND_S = 20.0
 IDLE_S, BODY_S, LINGER_S, ANSWER_S, PING_S = 30.0, 20.0, 2.0, 60.0, 10.0
-"""A connection is closed when no request comes within ``IDLE_S``, when one has begun and does not end within ``BODY_S`` (and
-``LINGER_S``, so that the other side may read why), when nothing of an answer is taken for ``ANSWER_S``, or when a
-socket answers no ping within one and a half times ``PING_S``."""
+"""Time limits of a connection [s]. It is closed when no request comes within ``IDLE_S``, when one has begun and does
+not end within ``BODY_S`` (and ``LINGER_S``, so that the other side may read the reason), when nothing of an answer is
+read for ``ANSWER_S``, or when a socket answers no ping within one and a half times ``PING_S``."""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]*)?")
 """A Host header: a name or address, in brackets if it is one of IPv6, and a port."""
 HEADERS = {
@@ -48,7 +49,7 @@ class Live:
     sockets: dict[str, Connection] = field(default_factory=dict)
     """Connections of the connected players, by seat."""
     beginning: asyncio.Task[None] | None = None
-    """Waits until the episode has been prepared."""
+    """Task that waits until the episode has been prepared."""
 
 
 class Connection:

@@ -53,12 +53,12 @@ CANCEL = Action("wait", steps=1)
 """Choice that interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
 MOST_UNSAID = 5
-"""Number of messages of a player that wait for their step; one is said in each."""
+"""Largest number of messages of a player that wait for their step; one is sent in each."""
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
 WAVES = 3
-"""Number of movements of a hand that waves."""
+"""Number of movements of a waving hand."""
 
 
 class Driver:

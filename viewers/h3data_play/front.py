@@ -37,25 +37,25 @@ from h3data_play.workers import Preparer, WorkerProcess, Workers
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
 CAN_S = 0.09
-"""Previews that are asked for sooner after each other are not answered: each takes milliseconds of everybody's worker. A page
-asks every 120 ms."""
+"""Least time between previews that are answered [s]: each takes milliseconds of the worker that all share. A page asks
+every 120 ms."""
 MOST_BUSY = 0.7
-"""Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
+"""Largest share of a core for a worker's games: a further one would slow down all others."""
 AGAIN_S, SAY_S = 1.0, 60.0
 """Seconds after which a failed write to the database is tried again, and between messages to the operator."""
 NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
-"""Episodes that are prepared while others are played."""
+"""Number of episodes that are prepared while others are played."""
 SEAT_S = 86400
 """Time for which a browser keeps its seat [s]."""
 SEATS_PER_ADDRESS = 12
-"""Number of seats that one network address may have at once: enough for a class in a lab."""
+"""Largest number of seats of one network address at a time: enough for a class in a lab."""
 LOADING_S = 60.0
-"""Time for which a seat is kept for a player who has taken it and does not connect because the home is still loading [s]."""
+"""Time for which a seat is reserved for a player who has not connected yet because the home is still loading [s]."""
 AWAY_S = 20.0
-"""Seconds for which a browser that was connected keeps its seat without a key; with the link's key another one may have it
-at once."""
+"""Time for which a disconnected browser keeps its seat against requests without a key [s]; with the link's key another
+browser gets it at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 

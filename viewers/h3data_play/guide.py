@@ -20,16 +20,17 @@ from sim_kinematic.motion.spec import BaseSpec
 STEPS_PER_S = 30
 ARRIVED_M = 0.01
 AHEAD_RAD = 0.1
-"""Walks while the next corner is at most this far off the heading, else turns on the spot: the path clears obstacles only
-along its straight legs."""
+"""Largest angle of the next corner off the heading at which the guide walks on; else it turns on the spot, as the path
+clears obstacles only along its straight legs [rad]."""
 STUCK_STEPS = 45
-"""Gives up after this many steps in which a body has come no nearer to its next corner."""
+"""Number of steps without getting nearer to the next corner after which the guide gives up."""
 TURN_AS_M = 0.1
 """Distance that counts as much as turning towards the corner by one radian [m]."""
 AGAIN_M = 0.05
 """Distance by which an agent must come nearer to the end before it tries a maneuver again [m]."""
 FLOOR_SNAP_M = 0.6
-"""A point this far off the free floor is moved onto it: people click on the foot of a cupboard and mean the place before it."""
+"""Distance from the free floor within which a point is moved onto it [m]: people who click on the foot of a cupboard
+mean the place before it."""
 NEAR_M = 2.0
 """Largest distance from a click on unreachable floor to the nearest reachable place, to which the player is then led [m]."""
 
@@ -47,7 +48,7 @@ class Guide:
     goal: Array
     """Point (x, z) at which the path ends."""
     corners: list[Array]
-    """Points (x, z) still to be reached."""
+    """Remaining points (x, z) of the path."""
     heading: float | None
     """Direction to face at the end [rad]; None: any."""
     failed: bool = False

@@ -11,9 +11,10 @@ from msgspec import Meta
 PERIOD_S = 1 / 30
 """Time between two steps of a live world [s]."""
 MOST_BYTES = 4096
-"""Length of the longest message that a socket takes."""
+"""Length of the longest message that a socket accepts [bytes]."""
 MOST_CHARACTERS = 500
-"""Length of the longest text of a player, as of a message between agents (`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
+"""Length of the longest text of a player, such as a message between agents
+(`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Share = Annotated[float, Meta(ge=-1, le=1)]
@@ -33,9 +34,9 @@ class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
     """Message of a player's input. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
 
     seq: Count | None = None
-    """Number of the message within its page; states tell which one has acted."""
+    """Number of the message within its page; state messages name the last one that has acted."""
     step: Count | None = None
-    """The step that the message is meant for; it acts then, or in the next step if that is over."""
+    """Number of the step for which the message is meant; it acts then, or in the next step if that is over."""
     ct: float = 0.0
     rtt: float = 0.0
 
@@ -203,8 +204,8 @@ Act = (
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 MOST_DEEP = 32
-"""Brackets within each other in JSON of clients. What a decoder alone bears depends on how deep its caller stands, so that a
-worker could fail at what the front let through."""
+"""Largest nesting depth in JSON of clients. The limit of a decoder depends on the depth of its caller's stack, so that
+a worker could fail at a message that the front accepted."""
 _BRACKET = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{]|[\]}]', re.DOTALL)
 """A string, which may lack its end, or a bracket."""
 Kind = TypeVar("Kind")

@@ -28,11 +28,12 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Speed of time: above 1 it runs faster, 0 means as fast as the machine can. For scripted players; recordings say so."""
+    """Speed of the clock, for scripted players: above 1 it runs faster, 0 means as fast as the machine can. Recordings
+    state it."""
     weights_in: str = ""
-    """Folder from which a relative file of weights in ``partner`` is named. Recordings repeat the relative name."""
+    """Folder to which a path of weights in ``partner`` is relative. Recordings repeat the relative path."""
     motion: str | None = None
-    """Motion file of people's walk."""
+    """Motion file of people's gait."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
 
@@ -76,7 +77,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     hitl: dict[str, Any] = {}
     """Further entries of the recording in ``info["hitl"]``."""
     resumes: bool = False
-    """True if another process may have played some of it, or all."""
+    """True if another process may have played a part of it, or all."""
     facts: dict[str, Any] | None = None
     """Facts that were found when the episode was prepared (`EpisodeCodec.precompute`); None: it has not been prepared."""
 

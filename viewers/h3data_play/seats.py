@@ -35,7 +35,7 @@ class Seat:
     number: int
     """Index into `PlayPlan.seats`."""
     game: str
-    """Key of the game that the seat was last given."""
+    """Key of the game to which the seat was last assigned."""
 
 
 @dataclass(eq=False)
@@ -75,11 +75,11 @@ class SeatLog:
     name: str = JOURNAL
     """Name of the file."""
     read_only: bool = False
-    """Works on a copy in memory: the file may be another process's."""
+    """True if changes are made to a copy in memory only: the file may belong to another process."""
     seats: dict[str, Seat] = field(default_factory=dict)
     games: dict[str, Game] = field(default_factory=dict)
     links: list[str] = field(default_factory=list)
-    """Key of the link of each of `PlayPlan.seats`."""
+    """Key in the link of each of `PlayPlan.seats`."""
 
     def __post_init__(self) -> None:
         # one process writes; a commit is with the operating system before a browser hears of it, so that it outlives this

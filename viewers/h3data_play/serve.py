@@ -40,7 +40,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     key: str = ""
     """Files of a TLS certificate and its key."""
     behind_proxy: bool = False
-    """True if a proxy in front of it does TLS, and names addresses of browsers."""
+    """True if a proxy in front of the server does TLS, and states addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS
     allow_hosts: tuple[str, ...] = ()
     """Names of this server beside loopback, ``host`` and those of the certificate."""

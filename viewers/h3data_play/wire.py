@@ -38,7 +38,7 @@ TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
 """Flags: agents touch; a robot touches the home; the episode is over; the player's agent is moved by a skill or a walk that
 the server leads."""
 BODY_JOINTS = 21
-"""SMPL-X joints 1 to 21 move; fingers, jaw and eyes keep the pose that the GLB has."""
+"""Number of joints that move, SMPL-X joints 1 to 21; fingers, jaw and eyes keep the pose of the GLB."""
 JOINT_UNIT = 2e-4
 """Unit of a robot's joint positions [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")

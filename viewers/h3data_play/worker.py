@@ -52,13 +52,14 @@ from h3data_play.messages import (
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
-"""Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
+"""Largest number of steps that a late game catches up at once; beyond that its clock slips, which the recording
+states."""
 MOST_WAITING = 200
-"""Messages of one game that wait for their step."""
+"""Largest number of messages of one game that wait for their step."""
 FARTHEST_STEPS = 15
-"""A message that is meant for a later step than this acts as soon as that many steps are over."""
+"""Largest number of steps that a message waits for its step; one that is meant for a later step acts then."""
 WHOLE_EVERY = 30
-"""Number of steps between states with all objects; those between have only objects that have moved."""
+"""Number of steps between states with all objects; those between contain only objects that have moved."""
 PLAN_STEPS = 6
 """Number of steps between two searches for a path to a thing, as one may take 50 ms of the worker that all players share."""
 BEGIN_S = 2.0
@@ -89,9 +90,9 @@ class Running:
     began: float = field(default_factory=time.monotonic)
     due: float = 0.0
     stepped: float = field(default_factory=time.monotonic)
-    """Time of the latest step, or of the beginning."""
+    """Time of the latest step, or of the beginning of the game."""
     here: set[int] = field(default_factory=set)
-    """Agents whose players are connected; -1: spectators."""
+    """Numbers of agents whose players are connected; -1: spectators."""
     waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
     """Messages that wait for their step: agent, step, message, text, time of arrival."""
     whole: bool = True
@@ -103,21 +104,21 @@ class Running:
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Thing that each player was last asked to open first."""
+    """Thing that each player last had to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
-    """Floor that each player was last sent, if it has ever changed; None: the page may have any."""
+    """Floor last sent to each player, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """True if the game waits for space on the disk, and the front knows."""
+    """True if the game waits for space on the disk, and the front has been informed."""
     recording: Recording | None = None
     """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
-    """Step in which each player last asked to be led to a thing."""
+    """Step of each player's last request to be guided to a thing."""
     heard: dict[int, int] = field(default_factory=dict)
-    """Number of messages of agents of which each player has been told."""
+    """Number of agents' messages that have been sent to each player."""
     left: int = -1
     """Agent of the player who has ended the game by leaving it; -1: nobody has."""
     asked: dict[int, float] = field(default_factory=dict)
-    """Players who have not answered the question at the end yet, and when they were asked."""
+    """Players who have not answered the question at the end yet, with the time at which it was asked."""
 
     @property
     def clock_ms(self) -> float:

@@ -17,15 +17,16 @@ from h3data_play.channel import encode, receive
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_UNSENT = 1 << 20
-"""Messages of players are dropped while a worker has this many bytes still to read: it is stuck, and the front must not be."""
+"""Number of unread bytes of a worker above which messages of players are dropped: the worker is stuck, and the front
+must not be."""
 EXPECTED_SHARE = 0.06
-"""Share of a core that a game takes before one has been measured."""
+"""Share of a core that a game is expected to take before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
 """Largest numbers of files and of prepared episodes that the front keeps."""
 PREPARE_S = 60.0
 """Time after which the worker that plays prepares an episode itself [s]."""
 READY_S = 600.0
-"""A worker may compile kernels for minutes, once per machine."""
+"""Time within which a worker gets ready [s]: it may compile kernels for minutes, once per machine."""
 
 Heard = Callable[["WorkerProcess", str, str, Any], None]
 

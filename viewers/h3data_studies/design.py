@@ -34,7 +34,7 @@ class Condition(Record, frozen=True):
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
     text: Text = ""
-    """Text that participants read before the first episode. It should not give the condition away."""
+    """Text that participants read before the first episode. It should not reveal the condition."""
 
     @property
     def is_solo(self) -> bool:
@@ -69,7 +69,7 @@ class Device(Record, frozen=True):
     min_width: Annotated[int, Meta(ge=0)] = 640
     """Least width of the window [px]."""
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
-    """Pictures per second of a blank scene."""
+    """Least number of pictures per second of a blank scene."""
     touch: bool = True
     """True if phones and tablets may take part."""
 
@@ -89,25 +89,25 @@ class DropOut(Record, frozen=True):
     """Rule by which a participant counts as gone and their place is given to somebody else."""
 
     idle_minutes: Minutes = 20.0
-    """Minutes without a key, click or answer; pauses count."""
+    """Time without a key, click or answer after which a participant has dropped out [minutes]; pauses count."""
     total_minutes: Minutes = 240.0
     """Time limit from consent to the end [min]."""
     wait_minutes: Minutes = 20.0
-    """Time for which somebody waits for the participant with whom they are to play [min]."""
+    """Time for which a participant waits for their partner of a pair [min]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
-    """Episodes of which a larger share of steps came late are left out of the report."""
+    """Largest share of late steps of an episode in the report; episodes with more are left out."""
 
 
 class Recruiting(Record, frozen=True):
     """Recruiting of participants, and the code that they return to the platform."""
 
     require_id: bool = False
-    """Only people whose link has ``PROLIFIC_PID`` may take part."""
+    """True if only people whose link has ``PROLIFIC_PID`` may take part."""
     id_pattern: str | dict[str, str] | None = None
     """Regular expression of a whole ``PROLIFIC_PID``, or of each id by its name; None: 24 hexadecimal digits."""
     completion_code: str = ""
     completion_url: str = ""
-    """Opened at the end; ``{code}`` stands for the code."""
+    """Address that is opened at the end; ``{code}`` stands for the code."""
     screen_out_code: str = ""
     screen_out_url: str = ""
     unique_codes: bool = False
@@ -151,10 +151,10 @@ class Item(Record, frozen=True):
     """Options of a choice; the answer is the number of an option, from 0."""
     required: bool = True
     reversed: bool = False
-    """A high answer counts as a low one in the mean of the form."""
+    """True if a high answer counts as a low one in the mean of the form."""
     right: float | list[float] | None = None
-    """The answer, or the answers, that are right (of a choice: the number of the option, from 0): the item is a check, and does
-    not count in the mean of the form. Pages are not told it."""
+    """Right answer, or answers (of a choice: the number of the option, from 0): the item is a check, and does not count
+    in the mean of the form. Pages do not contain it."""
 
     @property
     def right_answers(self) -> list[float] | None:
@@ -171,15 +171,15 @@ class Form(Record, frozen=True):
 
     id: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]{0,39})?$")] = ""
     builtin: str = ""
-    """``nasa_tlx``, ``fluency`` or ``trust`` instead of items of one's own."""
+    """Built-in questionnaire instead of items of one's own: ``nasa_tlx``, ``fluency`` or ``trust``."""
     after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
-    """``trial``: after each episode."""
+    """Place of the form in the study; ``trial``: after each episode."""
     attempts: Count = 1
     """Number of times that checks (items with ``right``) may be answered."""
     fail: Literal["screen_out", "note"] = "screen_out"
     """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
     again: Text = ""
-    """Text above the form when a check was not passed and there is another attempt."""
+    """Text above the form when a check was not passed and another attempt is left."""
     conditions: list[str] = []
     """Conditions after which the form is shown (default: all; built-in forms about the robot leave out those without one)."""
     title: Text = ""
@@ -210,7 +210,7 @@ class Design(Record, frozen=True):
     """Number of episodes per condition."""
     seed: Annotated[int, Meta(ge=0)] = 0
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
-    """The first is the default."""
+    """Languages of the study; the first is the default."""
     minutes: Count | None = None
     """Duration that is announced to participants [minutes]."""
     about: Text = ""

@@ -14,7 +14,7 @@ from h3data_studies.overview import PlayedEpisode, played
 from h3data_studies.store import Participant
 
 FOCUS = "focus"
-"""Rows of the log of when participants had turned to another window."""
+"""Rows of the log of times at which participants turned to another window."""
 PARTICIPANT_MEASURES = {
     "failed_checks": "checks that were not passed in the last attempt",
     "check_retries": "answers to checks that had to be given again",

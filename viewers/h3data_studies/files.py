@@ -25,7 +25,7 @@ from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
-"""File in the folder of a study with the contents of its study file when the first participant came."""
+"""Name of the file in the folder of a study with a copy of the study file from the arrival of the first participant."""
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 

@@ -17,9 +17,10 @@ STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
 SMALL = "small_window"
 """Reason why a device is refused for now; also the row of its last report."""
 CHECK, FAILED = "check", "failed_check"
-"""Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
+"""Rows of answers that did not pass a form's checks; and reason for screening out a participant who failed the last
+attempt."""
 PARTED, UNPAIRED = "partner_left", "no_partner"
-"""Reasons for the end of a participation: the participant with whom they played has gone, or none has come."""
+"""Reasons for the end of a participation: the partner of the pair has gone, or none has come."""
 PASSED = "success"
 """Ending of a passed episode of the tutorial."""
 
@@ -41,7 +42,7 @@ class Stage:
     after: str = ""
     """Place of a form in the study, `Form.after`."""
     row: str = ""
-    """`key`, where that does not follow from the above."""
+    """Value of `key`, if it does not follow from the above."""
 
     @property
     def key(self) -> str:

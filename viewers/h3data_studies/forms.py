@@ -16,7 +16,7 @@ from h3data_studies.design import Design, Form, Item
 from h3data_studies.texts import in_all_languages
 
 LONGEST_TEXT = 4000
-"""Characters of a free answer."""
+"""Largest number of characters of a free answer."""
 
 
 def _agree(name: str, text: str, *, reversed: bool = False) -> Item:
@@ -83,9 +83,9 @@ _ENGLISH: dict[str, Form] = {
     ),
 }
 BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
-"""Questionnaires by name. The German and Spanish words are our translations; nobody has validated them."""
+"""Questionnaires by name. The German and Spanish words are our translations and have not been validated."""
 ABOUT_ROBOT = ("fluency", "trust")
-"""Forms that make no sense where nobody else was there."""
+"""Forms about the robot, which are left out of conditions without one."""
 
 
 def resolved(form: Form) -> Form:

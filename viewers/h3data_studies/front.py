@@ -28,12 +28,13 @@ from h3data_studies.store import Participant, StudyStore, pair_entry
 from h3data_studies.views import consent_view, end_view, stage_view
 
 CHECK_S, HURRIED_S = 60.0, 10.0
-"""Time after which a place is given back if the check of the computer has not come, and the shorter time that holds while
-somebody else wants the place [s]."""
+"""Time without a check of the computer after which a place is released, and the shorter time that applies while another
+person wants the place [s]."""
 MOST_UNCHECKED = 3
-"""Participants of one network address who have agreed but whose computers have not been checked yet."""
+"""Largest number of participants of one network address who have agreed but whose computers have not been checked
+yet."""
 JOINS_S = 600.0
-"""An address may send as many new participants in this time as may take part from it at once."""
+"""Time within which an address may send as many new participants as may take part from it at once [s]."""
 TOKEN_LENGTH = len(new_token())
 NOT_YET = "The other participant is not here yet. Please keep this page open."
 MEET_S = 0.5
@@ -53,7 +54,7 @@ class Hello(msgspec.Struct, frozen=True):
     ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
     language: Short = ""
     rejoin: Annotated[str, Meta(max_length=80)] = ""
-    """Code of a link by which a participant goes on in another browser."""
+    """Code of a link with which a participant continues in another browser."""
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -88,7 +89,7 @@ class Filled(msgspec.Struct, frozen=True):
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """Number of the block, as the view named it."""
+    """Number of the block, as in the view."""
     trial: int | None = None
 
 

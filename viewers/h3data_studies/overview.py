@@ -32,7 +32,7 @@ class PlayedEpisode:
     pair: tuple[str, ...] = ()
     """Both participants, in the order of their seats, if two have played it together."""
     remarks: tuple[Mapping[str, Any], ...] = ()
-    """Reported problems, and the answer to the question at the end, as the recording has them."""
+    """Reported problems, and the answer to the question at the end, from the recording."""
 
     @property
     def late(self) -> float:

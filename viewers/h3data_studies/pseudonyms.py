@@ -11,7 +11,7 @@ import secrets
 from pathlib import Path
 
 IDS = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
-"""Ids that links of the recruiting platform carry; all are hashed at once."""
+"""Names of ids in links of the recruiting platform; all are hashed at once."""
 PATTERNS = {"PROLIFIC_PID": "[0-9a-fA-F]{24}"}
 """Formats of ids for which the study file gives none (``[recruiting] id_pattern``)."""
 ANY = ".*"

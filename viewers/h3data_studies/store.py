@@ -45,19 +45,19 @@ class Participant:
     place: int
     """Index into `StudyPlan.places`."""
     joined: float
-    """Unix time at which the participant joined [s], a date for readers; no duration is measured by it."""
+    """Unix time at which the participant joined [s], for readers; no duration is measured by it."""
     used: float
-    """Time since they agreed during which the study was served [s]."""
+    """Time since the participant's consent during which the study was served [s]."""
     idle: float
     """Time since the participant last did something [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
-    """Version and SHA-256 of the text that they agreed to."""
+    """Version and SHA-256 of the text that the participant agreed to."""
     ids: dict[str, str]
     """Pseudonyms of the recruiting platform's ids."""
     progress: Progress
     ended: float | None = None
-    """Unix time, as ``joined``."""
+    """Unix time of the end of the participation [s]."""
     times: dict[str, float] = field(default_factory=dict)
     """Time at which each row was written."""
 

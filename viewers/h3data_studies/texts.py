@@ -42,9 +42,9 @@ class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     forms: dict[str, FormWords] = {}
     """Built-in questionnaires; the English ones are in `h3data_studies.forms`."""
     said: dict[str, str] = {}
-    """Translations of the server's sentences, by the English one; ``{}`` is replaced by a value."""
+    """Translations of the server's sentences, by the English sentence; ``{}`` is replaced by a value."""
     things: dict[str, str] = {}
-    """Words for things and places, by the English one."""
+    """Words for things and places, by the English words."""
 
 
 @cache

@@ -29,7 +29,7 @@ Viewer = Literal["rerun", "video"]
 STRIP = 5
 """Number of pictures in the strip of a recording."""
 LISTED = 10
-"""Number of episodes listed of a dataset."""
+"""Number of listed episodes of a dataset."""
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,12 @@ JOG_SPEED_MPS = 2.5
 """The speed of the social-navigation task (spec/habitat.md: 10 units)."""
 JOG_ABOVE_MPS = 2.0
 CLIP_FRAMES = 128
-"""Frames are interpolated linearly: planted feet creep less than 0.1 mm (measured over all bodies)."""
+"""Number of frames of a clip. Between them poses are interpolated linearly: planted feet creep less than 0.1 mm (all
+bodies)."""
 _FLAT = np.zeros((0, 2))
 """Heights of a floor that is level with the root."""
 TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""Body frame (+Z forward) to agent root frame (x forward)."""
+"""Rotation from the body frame (+Z forward) to the agent root frame (x forward)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +67,9 @@ class Clip:
     quats: Array
     """Local joint rotations xyzw, shape [F, 55, 4]; frame k is at phase k / F; the signs are continuous round the cycle."""
     pelvis: Array
-    """Pelvis joint relative to the root, shape [F, 3] [m]."""
+    """Position of the pelvis joint relative to the root, shape [F, 3] [m]."""
     ankle: Array
-    """Ankles in the body frame, shape [F, 2, 3] [m]; see `h3data.bodies.people.legs.Posture`."""
+    """Positions of the ankles in the body frame, shape [F, 2, 3] [m]; see `h3data.bodies.people.legs.Posture`."""
     foot: Array
     """Pitch, yaw and toe bend of the feet, shape [F, 2, 3] [deg]."""
 

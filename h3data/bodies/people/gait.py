@@ -34,7 +34,7 @@ class GaitStyle:
     pitch: tuple[tuple[float, float], ...]
     """Foot pitch over the cycle from heel strike: (phase, degrees, positive = toes up)."""
     loose: tuple[int, ...]
-    """Rows of ``pitch`` whose offsets are fitted."""
+    """Indices of the rows of ``pitch`` whose offsets are fitted."""
     yaw: float
     list: float
     sway_m: float

@@ -101,7 +101,7 @@ NAMES = tuple(GESTURES)
 POLE = np.array([-0.35, -0.8, 0.45])
 """Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
-"""Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""
+"""Distance below the shoulder up to which work may lift a wrist, in lengths of the arm."""
 
 
 def _keys() -> tuple[Array, NDArray[np.int64], Array]:

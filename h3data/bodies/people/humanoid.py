@@ -112,7 +112,7 @@ class Humanoid:
     climbs_stairs: ClassVar[bool] = True
     """True: all people climb stairs, which not all robots do."""
     climbing_length_m: ClassVar[float] = 0.0
-    """Length over which the body pitches on stairs, as robots do: 0, as people stay upright [m]."""
+    """Length over which the body pitches on stairs, as robots do [m]: 0, as people stay upright."""
 
     @property
     def mesh(self) -> Mesh:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 X, Y, Z = np.eye(3)
 SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
-"""Name, sign of x, phase of the heel strike."""
+"""Name, sign of x, and phase of the heel strike of each leg."""
 LEG_MAX = 0.9985
-"""A leg is never stretched further than this share of its length."""
+"""Largest stretch of a leg, as a share of its length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,14 +29,14 @@ class Legs:
     """Measures of one body. Rows: left, right."""
 
     hips: Array
-    """Hip joints from the pelvis joint, shape [2, 3] [m]."""
+    """Positions of the hip joints relative to the pelvis joint, shape [2, 3] [m]."""
     thigh: float
     shank: float
     ankle_height: float
     """Height of the ankle joint above the sole [m]."""
     feet: Array
-    """Heel, ball and toe tip from the ankle joint with the foot flat, shape [2, 3, 3] [m]. The ball is the toe joint itself:
-    toes held flat rest while the heel rises."""
+    """Positions of heel, ball and toe tip relative to the ankle with the foot flat, shape [2, 3, 3] [m]. The ball is
+    the toe joint itself: toes held flat rest while the heel rises."""
 
     @cached_property
     def measures(self) -> LegMeasures:
@@ -73,9 +73,9 @@ class Posture:
     quats: Array
     """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""
     pelvis: Array
-    """Pelvis joint, shape [T, 3] [m]."""
+    """Position of the pelvis joint, shape [T, 3] [m]."""
     ankle: Array
-    """Ankle joints, shape [T, 2, 3] [m]."""
+    """Positions of the ankle joints, shape [T, 2, 3] [m]."""
     foot: Array
     """Pitch (toes up), yaw (to the left) and bend of the toe joint of each foot, shape [T, 2, 3] [deg]."""
 

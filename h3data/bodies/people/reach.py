@@ -42,12 +42,13 @@ STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture"
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
 """Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
+"""Rotation from the kernel's body frame (+Z forward, +X left) to the agent root frame."""
 ARM_RADIUS, INSET = 0.026, 0.02
 """Radius of forearm and hand for the clearance, as a share of the shoulder's height; share of the path inside the valid volume
 by which advice keeps away from its border."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
-"""The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
+"""Position of the grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out
+of the palm."""
 
 
 class BaseMotion(NamedTuple):
@@ -69,9 +70,9 @@ class ReachResult:
     """Result of reaching for one point."""
 
     status: ReachStatus
-    """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or
-    the point too near the shoulder); ``invalid_posture``: the hand gets there only by falling over, bending too far or
-    passing through the body."""
+    """Result of the search: ``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside,
+    but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets there only by
+    falling over, bending too far or passing through the body."""
     quats: Array
     """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
     pelvis: Array
@@ -100,7 +101,7 @@ class ReachPoses(NamedTuple):
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array
-    """Shape [T, M]; columns are named in `h3data.bodies.people.kernels.reach`."""
+    """Measures of each pose, shape [T, M]; columns are named in `h3data.bodies.people.kernels.reach`."""
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
@@ -174,7 +175,7 @@ class Table(NamedTuple):
     """Solved postures of the right hand on a grid of targets, in units of the standing shoulder's height."""
 
     values: NDArray[np.float32]
-    """Shape [X, Y, Z, P], axes left, up, forward."""
+    """Values at the points of the table, shape [X, Y, Z, P], with axes left, up, forward."""
     low: Array
     step: Array
 
@@ -204,7 +205,7 @@ class ReachSolver:
     """Reaches with one hand of one body."""
 
     tried = 24
-    """Number of the nearest table points from which the nearest valid one is sought."""
+    """Number of the nearest table points among which the nearest valid one is searched."""
 
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
         self.table = reach_table() if table is None else table

@@ -52,13 +52,13 @@ PATH_SINK_M, BUTTOCKS_M = 0.012, 0.03
 """Depth by which skin may be behind the front edge on the path [m]. Skin that is further ahead of the pelvis than `BUTTOCKS_M`
 does not carry: thighs that slope down would lift the body."""
 STEEPEST = 0.75
-"""Greatest slope of the thighs, as the share of their length by which hips and knees differ in height."""
+"""Greatest slope of the thighs: height difference of hips and knees as a share of the thigh's length."""
 ARMS_BY, EARLY = 0.6, 0.05
 """Share of the path at which the hands are on the thighs, because hanging ones would go through the seat; share over which a
 standing person's own pose is blended into the path."""
 TABLE = 61
-"""Poses between standing and sitting that are computed for one seat, and as many up to lying; between them they are
-interpolated."""
+"""Number of poses between standing and sitting that are computed for one seat, and the same number up to lying; others
+are interpolated."""
 TUCKED, TURNED, STRETCHED, RECLINES = 1.34, 1.64, 1.86, 1.72
 """Shares of the path, from 1 (sitting) to 2 (lying), at which the knees are drawn up, the person has turned, the legs are
 stretched, and the trunk begins to lie back."""

@@ -63,7 +63,7 @@ class FrameOperator(NamedTuple):
     """
 
     rows: NDArray[np.int32]
-    """Row of the operator for each place here, shape [V]."""
+    """Row of the operator for each place in this order, shape [V]."""
     row_starts: NDArray[np.int32]
     """First place of each group, then V, shape [G + 1]."""
     columns: NDArray[np.int32]

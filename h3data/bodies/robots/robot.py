@@ -81,15 +81,15 @@ class Robot:
     """File of the robot's description, a URDF."""
     links: tuple[RobotLink, ...]
     joint_names: tuple[str, ...]
-    """The columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint has four
-    (``name.x`` to ``name.w``, a quaternion)."""
+    """Names of the columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint
+    has four (``name.x`` to ``name.w``, a quaternion)."""
     rest: Array
     """Joint positions of the resting posture, shape [J] [rad or m]."""
     lower: Array
     """Joint limits, shape [J]; infinite where there are none."""
     upper: Array
     joint_links: NDArray[np.int64]
-    """The link that each joint moves, shape [J]; those that follow it by mimic are not named."""
+    """Link that each joint moves, shape [J]; links that follow a joint by mimic are left out."""
     base_height_m: float
     """Height of the URDF base frame above the floor, feet down in the resting posture."""
     body_height_m: float
@@ -101,13 +101,14 @@ class Robot:
     base_radius_m: float
     """Radius of the base discs."""
     hull_discs: Array
-    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: others avoid these."""
+    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: other agents avoid
+    these."""
     max_speed_mps: float | None = None
     """Speed limit of the base [m/s]; None for the limit of the task."""
     max_turn_rad_s: float | None = None
     """Turn rate limit of the base [rad/s]; None for the limit of the task."""
     hand_link: int = -1
-    """The link that grasps; -1 = none."""
+    """Link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))
     """Position at which the hand holds things, in the frame of that link, shape [3] [m]."""
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
@@ -119,7 +120,7 @@ class Robot:
     """True if the robot walks up and down stairs; for other robots stairs are walls."""
     cameras: tuple[RobotCamera, ...]
     to_base: Array
-    """URDF base frame to agent root frame, 4x4."""
+    """Transform from the URDF base frame to the agent root frame, 4x4."""
     origins: NDArray[np.float64]
     """Joint frame in the parent link's frame for each link, shape [L, 4, 4]."""
     axes: NDArray[np.float64]
@@ -130,7 +131,8 @@ class Robot:
     columns: NDArray[np.int64]
     """Joint position that moves each link (the first of four for a quaternion), shape [L]; 0 where none does."""
     gains: NDArray[np.float64]
-    """A link moves by gain * position + offset (URDF mimic), shape [L]."""
+    """Factors by which links follow joint positions, shape [L]: a link moves by gain * position + offset (URDF
+    mimic)."""
     offsets: NDArray[np.float64]
 
     @cached_property

@@ -21,15 +21,16 @@ class RobotReader(NamedTuple):
     """A reader of robots in files other than URDF."""
 
     read: Callable[[Path], Urdf]
-    """Reads the robot of a file."""
+    """Function that reads the robot of a file."""
     files: Callable[[Path], Sequence[Path]]
-    """All files that the robot consists of, the given one first."""
+    """Function that returns all files that make up the robot, the given one first."""
 
 
 READERS: Registry[RobotReader] = Registry("h3data.robot_files", {}, what="reader of robots")
 """Readers of files other than URDF by suffix without its dot."""
 GUESSES: Registry[Callable[..., RobotSettings]] = Registry("h3data.robot_guesses", {}, what="guess at a robot's")
-"""Makers of the settings of robots that come without any, from the robot as loaded and the names of links with true shapes."""
+"""Functions that make settings of robots that have none, from the loaded robot and the names of links with true
+shapes."""
 DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
 """Endings of descriptions of robots: URDF, and MJCF, which h3data_worlds reads."""
 

@@ -34,7 +34,7 @@ class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """A ``[[legs]]`` table: a leg that can step."""
 
     joints: tuple[str, str, str]
-    """Hip roll (about x), hip pitch and knee (about y)."""
+    """Names of the joints: hip roll (about x), hip pitch and knee (about y)."""
     foot: tuple[float, float, float]
     """Middle of the foot in the frame of the link that the knee moves [m]."""
 

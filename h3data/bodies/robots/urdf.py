@@ -48,9 +48,9 @@ class UrdfLink:
     visuals: tuple[UrdfPart, ...]
     collisions: tuple[UrdfPart, ...]
     inertial: Array
-    """Centre-of-mass frame to link frame, shape [4, 4]; identity if the file gives none."""
+    """Transform from the centre-of-mass frame to the link frame, shape [4, 4]; identity if the file gives none."""
     inertia_box: Array | None = None
-    """Half the sides [3] [m] of a box of the same mass and moments of inertia in that frame; None if the file gives none."""
+    """Half the sides [3] [m] of a box with the link's mass and moments of inertia; None if the file gives none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,8 @@ class UrdfJoint:
     parent: str
     child: str
     origin: Array
-    """Joint frame (= the child's link frame at position 0) to parent link frame, shape [4, 4]."""
+    """Transform from the joint frame (= the child's link frame at position 0) to the parent link frame, shape [4,
+    4]."""
     axis: Array
     """Unit vector in the joint frame, shape [3]."""
     lower: float
@@ -96,7 +97,7 @@ class Urdf:
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
-    """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
+    """Resting positions of joints [rad or m]; empty for URDF files, which cannot state them."""
     has_posture: bool = False
     """True if the joint positions are a posture in which the robot's maker wants it to rest, arms included."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from h3data.errors import SceneError
 
 HANDLE = "handle:"
-"""Begins the uri of an asset that is known by its template's name only."""
+"""Beginning of the uri of an asset of which only the name of the template is known."""
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:

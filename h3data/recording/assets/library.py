@@ -23,7 +23,7 @@ from h3data.scene.sources import object_mesh
 OWN_FOLDER_ENDING = ".assets"
 """Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
 EMPTY_URI = "primitive:empty"
-"""An instance that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
+"""Uri of instances that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
 
 
 class AssetLibrary:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
 CHUNK_S, WORTH_BYTES = 10.0, 20
-"""Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part; saving per
-row [bytes] that is worth a longer chunk: 62 for a looping clip, 0 to 18 in our simulations."""
+"""Longest chunk [s of the episode], which is what a truncated or damaged file loses besides the missing part; and
+saving per row [bytes] from which on a longer chunk pays: 62 for a looping clip, 0 to 18 in simulations."""
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:

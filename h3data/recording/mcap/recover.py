@@ -24,7 +24,7 @@ class Recovery:
     bytes_read: int
     bytes_total: int
     reason: str
-    """Reason why the whole original could not be read."""
+    """Reason why the original could not be read as a whole."""
 
 
 def recover_mcap(

@@ -40,7 +40,7 @@ class McapSteps(Steps):
     """The steps of a log; the chunks decompressed last are kept."""
 
     once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
-    """Topics whose messages do not come once per step."""
+    """Topics whose messages are written once and not at every step."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path

@@ -10,7 +10,7 @@ from h3data.files import part_file
 from h3data.recording.storage import AnyPath, RemotePath
 
 FILES_PER_CHUNK = 1000
-"""LeRobot's ``chunks_size``: files per folder ``chunk-000``, ``chunk-001``, ..."""
+"""Number of files per folder ``chunk-000``, ``chunk-001``, ...: LeRobot's ``chunks_size``."""
 
 
 @overload

@@ -93,7 +93,7 @@ class DatasetSchema:
     videos: tuple[VideoFeature, ...] = ()
     """Cameras of which every episode has a video."""
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
+    """Names of the numbers in a column, by column, as an export to LeRobot writes them."""
     episode_stats: bool = True
     """True if the episode tables have LeRobot's statistics of every feature. Older datasets have only those of the
     videos."""

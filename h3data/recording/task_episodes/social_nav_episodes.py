@@ -27,7 +27,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     human_goals: tuple[tuple[float, float], ...]
     """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
     goals_within_m: float = 0.0
-    """Largest distance between a goal and the place that the person truly walked to [m]; 0 = exact."""
+    """Largest distance between a goal and the place that the person actually walked to [m]; 0 = exact."""
     goals_complete: bool = True
     """True if the person needs no further goal in ``max_steps``; False where an episode ended early."""
     floor_y: float = 0.0
@@ -35,12 +35,12 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     max_steps: int = 1500
     seed: int = 0
     robot: str = ""
-    """Model, such as ``robot/quad_arm``."""
+    """Model of the robot, such as ``robot/quad_arm``."""
     human: str = ""
     scene_sha256: str = ""
-    """Digest of the scene (`h3data.scene.scene_digest`), to tell that it is the same home."""
+    """Digest of the scene (`h3data.scene.scene_digest`), which identifies the home."""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Source from which the scene is made again: generator and seed, or file."""
+    """Source of the scene: generator and seed, or file."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Speeds, distances and so on, as ``SocialNavSpec`` names them."""
     recording: str = ""

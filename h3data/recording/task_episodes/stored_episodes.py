@@ -15,10 +15,10 @@ from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 
 KEY = "h3data"
 VERSION = 1
-"""A reader refuses a higher one; added fields do not raise it."""
+"""Version of the record. A reader refuses a higher one; added fields do not raise it."""
 
 Start = tuple[float, float, float]
-"""``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
+"""Start ``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
 Record = TypeVar("Record", bound=msgspec.Struct)
 
 

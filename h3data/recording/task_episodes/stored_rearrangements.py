@@ -44,7 +44,7 @@ class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     start: list[float]
     """Pose (pose7) in the world at the beginning."""
     position: list[float]
-    """Position to which its origin has to come, [3] [m]."""
+    """Goal of the object's origin, [3] [m]."""
     source: str = msgspec.field(name="from")
     """Receptacle on which the object lies, ``instance|receptacle``; empty if unknown."""
     destination: str = msgspec.field(name="to")
@@ -68,7 +68,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
 
     goals: tuple[StoredGoal, ...]
     placements: tuple[Placement, ...] = ()
-    """Further objects, for whose goals a place on one of some pieces of furniture is sampled from the seed."""
+    """Further objects and the furniture on which their goals are sampled from the seed."""
     robot_start: Start | None = None
     """Start of the robot; None, as in Habitat's files, means that it is sampled from the seed."""
     human_start: Start | None = None
@@ -82,7 +82,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     """Height of the floor [m]."""
     seed: int = 0
     robot: str = ""
-    """Model, such as ``robot/quad_arm``; empty: the default one."""
+    """Model of the robot, such as ``robot/quad_arm``; empty: the default one."""
     human: str = ""
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)

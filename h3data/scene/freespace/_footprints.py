@@ -16,10 +16,11 @@ from h3data.scene.records import Capsule, Instance, Room, Scene, Shape, instance
 from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
 WALL_HALF_M = 0.06
-"""Half the thickness of walls around stairwells [m]: the stairwell has the floor up to the middle of the wall, the rooms beyond
-have the rest."""
+"""Half the thickness of walls around stairwells [m]: the stairwell's floor ends in the middle of the wall, and so does
+that of the rooms beyond."""
 WALL_GAP_M = 0.3
-"""Gaps up to this wide between the rectangles of rooms are wall or doorway, and belong to the floor; walls then cut it."""
+"""Largest width of gaps between the rectangles of rooms that are wall or doorway, and belong to the floor [m]; walls
+then cut it."""
 
 
 def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high: float) -> Polygon | None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 INFLATE_M, MERGE_RAD = 1e-3, 1e-7
-"""Buckets count as this much larger on all sides, ten times what a point may lie outside the free area [m]; gaps between
-blocked angles narrower than this are none: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
+"""Distance by which buckets are enlarged on all sides, ten times what a point may lie outside the free area [m]; and
+angle below which gaps between blocked angles are ignored: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
 
 
 @kernel()

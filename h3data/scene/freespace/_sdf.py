@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel, kernel_part
 
 SLACK_M = 0.004
-"""A line of sight may come this much nearer than the radius: bilinear look-up on a 5 cm grid is that wrong beside a
-surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
+"""Distance by which a line of sight may come nearer than the radius [m]: the error of bilinear look-up on a 5 cm grid
+beside a surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
 HIT_M = 0.002
-"""A ray of a laser scanner ends this near an obstacle."""
+"""Distance from an obstacle at which a ray of a laser scanner ends [m]."""
 RAY_STRIDE_M = 0.01
-"""Shortest stride of such a ray at its start, and by how much it grows per metre of the way."""
+"""Shortest stride of a scanner's ray at its start, and its growth per metre of the ray."""
 RAY_STRIDE_GROWTH = 0.005
 RAY_STRIDES = 64
-"""Most strides of such a ray, with which 99.7% of rays in furnished homes are within 5 cm, half of them within 1 mm."""
+"""Largest number of strides of a scanner's ray, with which 99.7% of rays in furnished homes are within 5 cm, half of
+them within 1 mm."""
 
 
 @kernel_part(inline="always")

@@ -24,14 +24,15 @@ class Graph(NamedTuple):
     nodes: NDArray[np.float64]
     """Corners of the graph (x, z), shape [n, 2] [m]."""
     before: NDArray[np.float64]
-    """The corner before each node on its ring (free area on the left), shape [n, 2]."""
+    """Corner before each node on its ring (free area on the left), shape [n, 2]."""
     after: NDArray[np.float64]
-    """The corner after each node, shape [n, 2]."""
+    """Corner after each node, shape [n, 2]."""
     first: NDArray[np.int64]
-    """Nodes of island k are ``first[k]:first[k + 1]``, shape [islands + 1]."""
+    """First node of each island, shape [islands + 1]: island k has the nodes ``first[k]:first[k + 1]``."""
     distance: NDArray[np.float32]
-    """Length of the shortest taut way between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf where
-    there is none. A way that would kink at its first or last node is not in it: no shortest path has such a part."""
+    """Length of the shortest taut path between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf
+    where there is none. Paths that would kink at their first or last node are left out: no shortest path has such a
+    part."""
     previous: NDArray[np.int16]
     """Node before j on the shortest path from i to j, shape [n, n]; negative: none."""
     rings: NDArray[np.float64]
@@ -43,7 +44,8 @@ class Graph(NamedTuple):
     edge_island: NDArray[np.int32]
     """Island of each blocking edge, shape [e]."""
     bucket_start: NDArray[np.int32]
-    """Blocking edges of bucket b are ``bucket_edges[bucket_start[b]:bucket_start[b + 1]]``; b = i * buckets_z + j."""
+    """First blocking edge of each bucket: bucket b = i * buckets_z + j has
+    ``bucket_edges[bucket_start[b]:bucket_start[b + 1]]``."""
     bucket_edges: NDArray[np.int32]
     bucket_label: NDArray[np.int32]
     """Island at the middle of each bucket, -1 = not free, shape [bx, bz]."""
@@ -52,8 +54,8 @@ class Graph(NamedTuple):
     bucket_size: NDArray[np.float64]
     """Side of a bucket, shape [1] [m]."""
     visible_start: NDArray[np.int32]
-    """Nodes that a taut string from within bucket b may reach first are
-    ``visible_nodes[visible_start[b]:visible_start[b + 1]]``, and some more."""
+    """First visible node of each bucket: a taut string from within bucket b reaches one of
+    ``visible_nodes[visible_start[b]:visible_start[b + 1]]`` first (the list has some more)."""
     visible_nodes: NDArray[np.int32]
 
 

@@ -33,7 +33,7 @@ class BuildSpec:
     arc_segments: int = 8
     """Number of segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
     smooth_m: float = 1e-4
-    """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
+    """Distance from a straight line below which corners are dropped [m]: they are seams of unions, not geometry."""
     island_min_m2: float = 0.01
     """Area below which patches of floor are rounding errors [m2]."""
     voxel_m: float = 0.025

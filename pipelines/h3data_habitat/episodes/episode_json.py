@@ -49,7 +49,7 @@ KEYS: dict[str, Any] = {
     "goal_receptacles": _Receptacles,
     "name_to_receptacle": dict[str, str],
 }
-"""Keys of an episode that we know, in Habitat's order, and their JSON types."""
+"""Known keys of an episode, in Habitat's order, and their JSON types."""
 
 _DECODERS = {key: msgspec.json.Decoder(kind) for key, kind in KEYS.items()}
 _FIELDS = {"rigid_objs": "rigid_objects"}

@@ -17,7 +17,8 @@ from h3data.geometry import normalized
 from h3data.render.shade.shading import Light
 
 SHADER = "material"
-"""``shader_type`` of what we write: glTF's own materials. ``phong`` has no counterpart of roughness and shows spots."""
+"""Value of ``shader_type`` in exports: glTF's own materials. ``phong`` has no counterpart of roughness and shows
+spots."""
 _GAMMA = 2.2
 _AXES = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
 

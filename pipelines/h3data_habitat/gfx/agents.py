@@ -19,12 +19,12 @@ from h3data_habitat.gfx.fold import Life
 from h3data_habitat.limits import MAX_AGENTS, check_count, check_size
 
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
-"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Our own robots, which
-our exports name, say theirs; for the rest 0 is assumed."""
+"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). h3data's robots
+state theirs in exports; for the rest 0 is assumed."""
 
 PERSON_ROOT_PREFIX = "h3data_person_root_"
-"""User transforms of our own exports: before the number of a rig, habitat-lab's root of that person. The instance of a rig has
-the pose of its root bone, which also sways and tilts."""
+"""Prefix of user transforms in h3data's exports, before the number of a rig: habitat-lab's root of that person. The
+instance of a rig has the pose of its root bone, which also sways and tilts."""
 
 _ROBOT = re.compile(r"(^|/)robots?/([^/]+)/|(hab_spot_arm|hab_fetch|hab_stretch)")
 _HUMAN = re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$")

@@ -21,7 +21,7 @@ from h3data_habitat.limits import MAX_BODIES, MAX_STEPS, check_count, check_size
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
-"""Limit of text about lights that is kept; a light takes 90 bytes."""
+"""Largest size of stored text about lights; a light takes 90 bytes."""
 
 
 @dataclass(eq=False)
@@ -29,7 +29,7 @@ class Updates:
     """Poses of one thing and the keyframes that wrote them: 32 bytes each, since a long file has millions of them."""
 
     steps: array[int] = field(default_factory=lambda: array("i"))
-    """Keyframes, not decreasing."""
+    """Numbers of the keyframes, not decreasing."""
     _values: array[float] = field(default_factory=lambda: array("f"))
     _tidy: bool = False
     """True if the values are pose7 already; before, they are x y z and w x y z."""
@@ -146,7 +146,7 @@ class Fold:
     user: dict[str, Updates] = field(default_factory=dict)
     lights: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    """Counts of oddities, by description."""
+    """Counts of irregularities, by description."""
 
     def note(self, what: str) -> None:
         """Count an oddity."""

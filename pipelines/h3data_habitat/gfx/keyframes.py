@@ -23,7 +23,7 @@ from h3data_habitat.json_files import not_json, truncated
 from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-"""Fits a float32 even after a product or two."""
+"""A number that fits a float32 even after a product or two."""
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
 Key = Annotated[int, msgspec.Meta(ge=0)]
@@ -142,7 +142,7 @@ class Keyframe(msgspec.Struct):
     rigUpdates: list[RigUpdate] = []
     userTransforms: list[UserTransform] = []
     lights: msgspec.Raw = msgspec.Raw()
-    """Text of a list of objects."""
+    """JSON text of the list of lights."""
     lightsChanged: bool = False
 
 
@@ -155,9 +155,9 @@ class _File(msgspec.Struct):
 
 
 KEYFRAME_BYTES = 64 << 20
-"""Limit of one keyframe, and of everything after the keyframes."""
+"""Largest size of one keyframe, and of everything after the keyframes."""
 WHOLE_BYTES = 256 << 20
-"""Limit of files that do not begin with their keyframes, which are read as a whole."""
+"""Largest size of files that do not begin with their keyframes, which are read as a whole."""
 
 _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
 _OPENING_BYTES = 4096

@@ -29,7 +29,8 @@ AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]
 
 LEVEL_RAD = 2e-3
-"""A robot's base only rotates about the vertical; a walking or standing person's pelvis tilts by more than this."""
+"""Tilt above which a root is not a robot's: a base only rotates about the vertical, a person's pelvis tilts more
+[rad]."""
 _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("lift_arm", 0.0)}
 """Built-in model that stands in for each of Habitat's robots, and the height of its base link over the floor [m]."""
 
@@ -43,9 +44,9 @@ class AgentTrack:
     grasp_id: NDArray[np.int64]
     """Id of the held object, -1 = none, shape [T]."""
     joints: Array | None = None
-    """People with a logged posture: local rotations [T, 54, 4] as logged, any joint order."""
+    """Local rotations [T, 54, 4] as logged, any joint order, of people with a logged posture."""
     base: Array | None = None
-    """People with a logged posture: pose7 of the agent root at the floor, shape [T, 7]."""
+    """Pose (pose7) of the agent root at the floor, shape [T, 7], of people with a logged posture."""
     action: NDArray[np.float32] | None = None
     """Low-level action, shape [T, A]."""
 

@@ -26,7 +26,7 @@ from h3data.geometry import heading_from_quat
 REACH_M, FACING = 2.0, 0.5
 TURN_ONLY_M, AIM_RAD = 0.2, 0.1
 LONGEST = 1501
-"""Steps after which Habitat's loop gives up and returns this number."""
+"""Number of steps after which Habitat's loop gives up and returns this number."""
 
 
 class Paths(Protocol):

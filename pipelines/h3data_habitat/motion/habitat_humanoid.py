@@ -22,9 +22,9 @@ from h3data.errors import InputError
 from h3data.geometry import Array, normalized, pose_from_matrix, quat_to_matrix
 
 MIN_TURN_DEG = 5.0
-"""Directions nearer than this are taken at once."""
+"""Angle below which a new direction is taken at once."""
 TURN_STEP_DEG = 20.0
-"""Largest turn per step, and the turn from which on nobody advances, unless speeds were given."""
+"""Largest turn per step, and the turn above which people do not advance, unless speeds were given."""
 STOP_M = 1e-9
 DIRECTIONAL_STOP_M = 1e-5
 DIRECTIONAL_FPS = 30.0
@@ -69,15 +69,15 @@ class ReachGrid:
     """Poses in which one hand is at the points of a grid, relative to the base, axes left, up, forward."""
 
     joints: Array
-    """Shape [K, 54, 4], point (x, y, z) at row y * nx * nz + x * nz + z."""
+    """Joint rotations of the poses, shape [K, 54, 4]: point (x, y, z) is row y * nx * nz + x * nz + z."""
     roots: Array
     """Root transforms of the poses, shape [K, 4, 4]."""
     low: Array
     """Position of the first grid point, shape [3] [m]."""
     high: Array
-    """Last grid point, shape [3] [m]."""
+    """Position of the last grid point, shape [3] [m]."""
     bins: tuple[int, int, int]
-    """Points per axis."""
+    """Number of points per axis."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -23,7 +23,7 @@ from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_fro
 ENDS_TOUCH_M = 0.01
 """Largest distance of points on the surface from the polygons of a `FreeSpace` [m], as one is float32 and the other float64."""
 PIXELS_MAX = 1 << 26
-"""Largest top-down map."""
+"""Largest number of pixels of a top-down map."""
 _ANY = -1
 
 
@@ -34,7 +34,7 @@ class ShortestPath:
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_end: ArrayLike = field(default_factory=lambda: np.zeros(3))
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Way points [k, 3] from start to end, as projected; none if there is no path."""
+    """Waypoints [k, 3] from start to end, as projected; none if there is no path."""
     geodesic_distance: float = np.inf
     """Length of the path [m]; inf if there is none."""
 
@@ -45,7 +45,7 @@ class MultiGoalShortestPath:
 
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_ends: ArrayLike = field(default_factory=lambda: np.zeros((0, 3)))
-    """Shape [k, 3]; ends without a path are passed over."""
+    """Possible ends of the path, shape [k, 3]; ends without a path are passed over."""
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     geodesic_distance: float = np.inf
     closest_end_point_index: int = -1

@@ -35,7 +35,7 @@ class Link:
     mesh: Mesh
     shapes: tuple[Shape, ...]
     turn: NDArray[np.float64]
-    """Rotation from the URDF link frame to this one, shape [3, 3]."""
+    """Rotation from the URDF link frame to the frame of this link, shape [3, 3]."""
 
 
 def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:

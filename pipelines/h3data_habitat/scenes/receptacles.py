@@ -18,7 +18,7 @@ from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import numbers, text
 
 DEFAULT_CLEARANCE_M = 0.3
-"""Free height over a mesh receptacle [m]: Habitat's files do not state it."""
+"""Free height over a mesh receptacle [m], which Habitat's files do not state."""
 
 _GRID = 64
 _MIN_HALF_SIZE_M = 0.01

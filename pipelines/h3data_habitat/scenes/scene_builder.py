@@ -20,7 +20,7 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""Greatest distance of things from the origin [m]: 100 km, where float32 still tells centimetres."""
+"""Greatest distance of things from the origin [m]: 100 km, where float32 still resolves centimetres."""
 
 
 @dataclass

@@ -38,13 +38,13 @@ class Template:
     """A kind of stage, object or scene that can be instanced. Its file is read when it is used."""
 
     handle: str
-    """The short name: the file's name without its ending, or the ``template_handle`` of the dataset."""
+    """Short name: the file's name without its ending, or the ``template_handle`` of the dataset."""
     path: Path
     """Config or asset file; for templates that exist only in the dataset config, that config."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
     overrides: Mapping[str, Any] = field(default_factory=dict)
     inline: bool = False
-    """True if the attributes stand in the dataset config itself."""
+    """True if the attributes are in the dataset config itself."""
 
     @property
     def is_config(self) -> bool:
@@ -78,10 +78,10 @@ class SceneDataset:
     navmeshes: Mapping[str, str] = field(default_factory=dict)
     """Navmesh files (relative to the config) by the name that scenes use."""
     descriptors: Mapping[str, str] = field(default_factory=dict)
-    """Return the files of semantic descriptors by name, in the same form as templates."""
+    """Files of semantic descriptors by name, in the same form as templates."""
     keys: KeyNotes = field(default_factory=KeyNotes)
     empty_paths: tuple[str, ...] = ()
-    """Search paths below which nothing is."""
+    """Search paths that contain no files."""
 
     @property
     def scenes(self) -> list[str]:

@@ -16,7 +16,7 @@ from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import number, numbers, objects, points, text
 
 STRIP_M = 0.1
-"""Slanting walls become steps of this depth; the area stays exact."""
+"""Depth of the steps that replace slanting walls [m]; the area stays exact."""
 _MAX_STRIPS = 1000
 _MAX_CORNERS = 10_000
 

@@ -42,7 +42,7 @@ class Rigid:
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """True if this origin scales with the object, which it does unless the config gives it."""
+    """True if this origin scales with the object: always, unless the config gives the origin."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
@@ -83,7 +83,7 @@ class TemplateReader:
     assets: dict[str, Asset] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    """Files that do not exist, with the places where they were looked for."""
+    """Files that do not exist, with the places where they were searched."""
     _read: dict[int, Rigid | Articulated | None] = field(default_factory=dict)
     _alive: list[Template] = field(default_factory=list)
 

@@ -33,7 +33,7 @@ class Furniture:
 
     category: str
     builder: MeshBuilder
-    """Appearance of the piece; triangles are built only by `asset`, once the piece is placed."""
+    """Function that builds the appearance; triangles are built only by `asset`, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
@@ -43,7 +43,8 @@ class Furniture:
     wall_gap_m: float = 0.02
     """Distance from the back of the piece to the wall [m]."""
     opens: Callable[[int], Opening] | None = None
-    """The same piece with doors and drawers that open, by how many of it have been placed before; None: nothing opens."""
+    """Function that returns the same piece with doors and drawers that open, from the number of such pieces that have
+    been placed; None: nothing opens."""
 
     @property
     def solid(self) -> bool:

@@ -59,7 +59,7 @@ class Member:
     z: float = 0.0
     quarter: int = 0
     yaw: float = 0.0
-    """A small additional rotation, for chairs that are not quite straight [rad]."""
+    """Small additional rotation, for chairs that are not quite straight [rad]."""
     y: float = 0.0
 
 
@@ -83,7 +83,7 @@ class RoomState:
 
     room: RoomPlan
     doors: list[tuple[int, Opening]]
-    """(side, opening) of doors and wide openings."""
+    """Pairs (side, opening) of doors and wide openings."""
     windows: list[tuple[int, Opening]]
     keep: list[Rect]
     """Floor that stays free in front of doors."""
@@ -92,7 +92,7 @@ class RoomState:
     fronts: list[Rect] = field(default_factory=list)
     rugs: list[Rect] = field(default_factory=list)
     goals: list[tuple[Rect, float]] = field(default_factory=list)
-    """Edges (flat rectangles) that walkers must be able to approach, and to what distance [m]."""
+    """Edges (flat rectangles) that walkers must be able to approach, and the distance within which [m]."""
     _free: BaseGeometry | None = None
 
     @property

@@ -19,7 +19,8 @@ from h3data_homes.kinds import parts
 from h3data_homes.kinds.parts import Paint, Part, Point
 
 Solid = Literal["box", "round", "parts", "none"]
-"""Collision shapes of a model: the bounding box, an upright cylinder, the upright boxes and rods among the parts, or none."""
+"""Kind of the collision shapes of a model: the bounding box, an upright cylinder, the upright boxes and rods among the
+parts, or none."""
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag=str.lower):

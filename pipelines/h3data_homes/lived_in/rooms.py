@@ -107,7 +107,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     ),
     "balcony": ("flower_box", "planter", "grill", "parasol", "drying_rack", "planter", "flower_box", "stool"),
 }
-"""Pieces that stand at a wall where there is room for them."""
+"""Pieces that are placed at a wall where there is room for them."""
 ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
     "living": (
         ("wall_clock", 1.75),

@@ -16,7 +16,7 @@ from h3data.scene.records import Box
 from h3data_homes.furnishing.place import Placed, Rect, RoomState, footprint, gap
 
 DEPTH_M = 0.01
-"""Boxes that are in each other by more are taken apart; it is what `h3data scenes validate` admits."""
+"""Depth above which overlapping boxes are moved apart [m]; `h3data scenes validate` admits this depth."""
 _ROUNDS = 4
 _NEAR_M = 0.1
 

@@ -63,7 +63,7 @@ class StoreyPlan:
     ground: Layout
     upper: Layout
     offset: tuple[float, float]
-    """Place of the upper plan's corner (0, 0) in the home (x, z) [m]."""
+    """Position of the upper plan's corner (0, 0) in the home (x, z) [m]."""
     well: Well
 
 

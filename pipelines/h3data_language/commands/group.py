@@ -62,7 +62,8 @@ class LanguageVerify:
     seed: int = 0
     """Seed of everything random."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results: a file for each episode as soon as it has been played, and the table (default: keep none)."""
+    """Folder for the results: a file for each episode as soon as it has been played, and the table (default: nothing is
+    written)."""
     workers: int = 1
     """Number of processes."""
     resume: bool = False

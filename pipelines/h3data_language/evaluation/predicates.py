@@ -20,13 +20,14 @@ from h3data_language.evaluation.records import NEXT_TO_M, STATES, Proposition
 
 Flags = NDArray[np.bool_]
 SINKS_M, RISES_M = 0.03, 0.12
-"""The lowest point of a thing that stands on a surface is at most this far below and above it [m]: a plate may lie between."""
+"""Distances below and above a surface within which the lowest point of a thing on it must be [m]: a plate may lie
+between."""
 FLOOR_M = 0.09
-"""The lowest point of a thing on the floor is at most this far above it [m]."""
+"""Largest height of the lowest point of a thing on the floor [m]."""
 IN_ROOM = 0.25
-"""Share of the corners and the center of a thing that are in its room."""
+"""Share of the corners and the center of a thing that must be in a room for the thing to be in it."""
 PADDING_M = 0.1
-"""Things are next to each other if their heights overlap once they are this much taller."""
+"""Height that is added to things: they are next to each other if their heights then overlap [m]."""
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)] + [[0, 0, 0]], np.float64)
 
 

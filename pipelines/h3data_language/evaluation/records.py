@@ -28,7 +28,7 @@ STATES = {
     "is_powered_on": ("powered", True),
     "is_powered_off": ("powered", False),
 }
-"""Name and value of the state that each proposition about states asks for."""
+"""Name and value of the state that each proposition about states requires."""
 THEIR_STATES = {state: name for name, (state, value) in STATES.items() if value}
 """Name of each state in PARTNR's files and logs."""
 ARGUMENTS: dict[str, tuple[str, ...]] = {

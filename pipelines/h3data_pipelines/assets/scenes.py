@@ -195,7 +195,7 @@ class ScenesExport:
     episodes: int | None = None
     """Number of episodes of a set to export for habitat (default: all; 0: none)."""
     objects: Path | None = None
-    """Folder of objects (of the YCB set, or Habitat's object configs) that take the place of movable things where they fit."""
+    """Folder of objects (of the YCB set, or Habitat's object configs) that replace movable things where they fit."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False

@@ -47,11 +47,11 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rules: str | None = None
     """Name of a set of rules: ``natural`` or ``paper``."""
     overrides: dict[str, Any] = {}
-    """Single fields of the task's rules that differ from them."""
+    """Fields of the task's rules that differ from this set of rules."""
     metrics: list[str]
     """Columns of the leaderboard."""
     rank: str
-    """Metric by which its rows are sorted, the best first."""
+    """Metric by which the rows of the leaderboard are sorted, the best first."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -54,9 +54,9 @@ class ResultVerification:
     episodes: int
     """Number of episodes that were checked."""
     of_episodes: int
-    """Number of episodes of the benchmark."""
+    """Number of all episodes of the benchmark."""
     faults: tuple[str, ...]
-    """Faults, a sentence each; empty if the table is true."""
+    """Faults, a sentence each; empty if the table is confirmed."""
 
     @property
     def is_true(self) -> bool:

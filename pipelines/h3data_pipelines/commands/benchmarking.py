@@ -167,7 +167,7 @@ class BenchmarkVerify:
     benchmark: Path | None
     """Name or folder of the benchmark (default: the shipped one that the result names)."""
     episodes: int | None
-    """Check so many episodes, sampled at random (default: all)."""
+    """Number of episodes to check, sampled at random (default: all)."""
     seed: int
     """Seed of this sample."""
     workers: int

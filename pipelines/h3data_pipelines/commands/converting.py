@@ -61,7 +61,7 @@ class Convert:
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
-    """Continue an interrupted conversion of the same input: finished output is kept."""
+    """Continue an interrupted conversion of the same input; finished output stays."""
     force: ForceFlag = False
     json: JsonFlag = False
 

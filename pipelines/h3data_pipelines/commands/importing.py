@@ -76,8 +76,8 @@ class Import:
     assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     manifest: Path | None
-    """CSV table of a study: who (participant) did which file, user_id or episode_id under which condition
-    (h3data docs import)."""
+    """CSV table of a study, which assigns participants and conditions to files, user_ids or episode_ids (h3data docs
+    import)."""
     fps: float
     """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
     people: str

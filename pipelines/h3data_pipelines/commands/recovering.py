@@ -22,7 +22,7 @@ class Recover:
     recording: tyro.conf.Positional[Path]
     """An .mcap file, or the .part file that an interrupted run left."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The new recording; the old file is kept."""
+    """New recording; the old file stays."""
     force: ForceFlag = False
     json: JsonFlag = False
 

@@ -23,7 +23,7 @@ from h3data.commands.shards import LostShardError, R, S
 _log = logging.getLogger(__name__)
 
 TRIES = 3
-"""Number of times that a shard is begun before it is given up, when its process dies each time."""
+"""Number of times that a shard is begun before it is given up, if its process dies each time."""
 _AHEAD = 4
 """Number of shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
 

@@ -24,9 +24,9 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
 
 TRIES = 4
-"""Number of times that a shard is begun before it is given up, when the process that had it dies each time."""
+"""Number of times that a shard is begun before it is given up, if its process dies each time."""
 NODE_TRIES = 20
-"""Number of tries when the whole node dies, for which the shard is hardly to blame."""
+"""Number of tries if the whole node dies, for which the shard is hardly to blame."""
 _AHEAD = 4
 """Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0

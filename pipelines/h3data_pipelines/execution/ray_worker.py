@@ -45,11 +45,11 @@ class Origin:
     """The process that asks: what a worker must have in common with it for the same bytes, and where paths begin."""
 
     code: str
-    """Digest of our own source files."""
+    """Digest of the source files of h3data."""
     packages: str
-    """Versions of what decides the numbers."""
+    """Versions of packages that affect numerical results."""
     folder: str
-    """Working directory, where it exists on the worker's machine too."""
+    """Working directory, if it also exists on the worker's machine."""
 
     @classmethod
     def of_this_process(cls) -> Origin:

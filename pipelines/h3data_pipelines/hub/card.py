@@ -32,7 +32,8 @@ CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
 """Number of episodes in the picture."""
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
-"""Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
+"""Number of moments of an episode from which the one with the most visible things is chosen, and the width of the
+pictures for this choice [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20
 """Share of a picture that a visible thing covers, and the number of other things that an agent counts for."""
 _HEIGHT, _WIDTH = 180, 320

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 SAMPLED_BODIES = ("any", "random")
-"""Name of a body that stands for sampling: each episode samples one of the built-in ones, or makes one of its seed."""
+"""Name that stands for sampled bodies: each episode samples a built-in body, or makes a body from its seed."""
 SOLO = "solo"
-"""Name of the policy with which robots take no part."""
+"""Name of the policy for episodes without robots."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class Job:
     index: int
     seed: int
     scene: str
-    """Name on the command line."""
+    """Name of the scene on the command line."""
     source: SceneSource
     task: str
-    """Name or ``module:Class``."""
+    """Name of the task, or ``module:Class``."""
     spec: Any
-    """The task's rules."""
+    """Rules of the task."""
     policy: str | None = None
     """Policies of robots; None: the task's default."""
     partner: str | None = None
@@ -49,15 +49,15 @@ class Job:
     agents: tuple[str, ...] | None = None
     """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
     human: str | None = None
-    """Model of person that stands for the kind ``human``; None: the episode's, else the default."""
+    """Model of a person for agents of the kind ``human``; None: the episode's, else the default."""
     robot: str | None = None
-    """Model of robot that stands for the kind ``robot``."""
+    """Model of a robot for agents of the kind ``robot``."""
     drawn_with: Any = None
-    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes of them."""
+    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes."""
     stored: StoredEpisode | None = None
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
-    """Set or file that the episode comes from, and its number there; ends up in the recording."""
+    """Set or file that the episode comes from, and its number there, as in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
@@ -142,7 +142,7 @@ class Job:
 
 # --- where they come from ---------------------------------------------------------------------------------------------
 ORACLE = "oracle"
-"""Skills under rules so simple that a GPU plays them too."""
+"""Name of the skills under simple rules, which a GPU also supports."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +155,7 @@ class Choices:
     agents: tuple[str, ...] | None = None
     human: str | None = None
     motion: str | None = None
-    """Motion file of people's walk."""
+    """Motion file of people's gait."""
     robot: str | None = None
     rules: str | None = None
     """Name of a set of rules."""
@@ -270,7 +270,7 @@ class SampledEpisode:
     index: int
     seed: int
     scene: str
-    """Name on the command line."""
+    """Name of the scene on the command line."""
     source: SceneSource
     origin: dict[str, Any] | None = None
     """Set that the episode comes from, and its number there."""

@@ -31,7 +31,7 @@ from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
 from h3data_pipelines.jobs.result_files import check_options, results_of, write_table
 
 RECORDINGS = "recordings"
-"""Folder below that of an evaluation."""
+"""Name of the folder of recordings in that of an evaluation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +40,9 @@ class EvaluationRequest:
 
     task: str
     policies: tuple[str, ...] = (ALL,)
-    """Robots, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
+    """Policies of robots, or ``all``. ``weights:PATTERN`` stands for all files that match, which share one row."""
     partners: tuple[str, ...] = (ALL,)
-    """People, or ``all``."""
+    """Policies of people, or ``all``."""
     unseen_partners: tuple[str, ...] = ()
     """Partners over which the zero-shot mean is taken (default: the paper's four planners, if all play)."""
     scenes: tuple[str, ...] = ("h3-homes/test",)
@@ -63,14 +63,14 @@ class EvaluationRequest:
     human_speed: float | None = None
     max_steps: int | None = None
     skills: str = ""
-    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
-    those that know all."""
+    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``;
+    empty: skills that know the whole state."""
     overrides: tuple[tuple[str, Any], ...] = ()
     """Single fields of the task's rules, by name."""
     light: LightMode | None = None
     """Light in the colours that policies observe; None: that in which each was trained."""
     uids: tuple[str, ...] = ()
-    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in their order; empty: any."""
+    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in order; empty: any."""
 
     def jobs(self) -> list[Evaluation]:
         """Return all episodes, or an `InputError` that names the bad option."""
@@ -152,11 +152,11 @@ class EvaluationResult:
     """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
-    """Number of episodes played now; the others were there."""
+    """Number of episodes played now; the others existed already."""
     failed: tuple[str, ...]
-    """Pairs that raised: episode, seed, names and error."""
+    """Episodes that raised an error: episode, seed, names and error."""
     left_out: tuple[str, ...] = ()
-    """Episodes of the file that cannot be played, and why."""
+    """Episodes of the file that cannot be played, with the reason."""
     warnings: tuple[str, ...] = ()
     """Warnings about stand-ins for missing assets."""
     job: dict[str, Any]

@@ -30,7 +30,7 @@ class Evaluation:
     partners: tuple[str, ...] = ()
     """Policies of the partners; empty if people follow the task's default."""
     keep: bool = False
-    """True if the recordings of all pairs are results too."""
+    """True if the recordings of all pairs are part of the result."""
     uid: str | None = None
     """Identity that the episode must have (`episode_uid`), if a benchmark fixes it."""
 

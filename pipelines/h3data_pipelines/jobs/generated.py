@@ -25,7 +25,7 @@ class Generated:
 
     dataset: Dataset
     new: int
-    """Number of episodes of this run; the others were there before it resumed."""
+    """Number of episodes of this run; the others existed before it resumed."""
     failed: tuple[str, ...]
     """Episodes that could not be played: number, seed and error."""
     metrics: MetricsTable

@@ -13,7 +13,7 @@ from h3data.terminal import aligned
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
 
 MOST_COLUMNS = 30
-"""Profiles with more metrics are printed by the columns of their report."""
+"""Largest number of metrics of a profile in full tables; other tables have the columns of the profile's report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class PolicyTable:
     cells: dict[tuple[str, str], Summary]
     """Summaries by policy and metric."""
     seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Policies that are one row, by the pattern that names them."""
+    """Policies that share one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
     """Rules of each result that differ from the paper's."""
 

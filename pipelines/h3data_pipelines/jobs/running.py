@@ -66,7 +66,7 @@ class RenderedVideo:
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()
-    """Content and file of each video; the paths are those of the machine that made them."""
+    """Content and file of each video; the paths are those of the machine that rendered them."""
 
     @contextmanager
     def video_files(self) -> Iterator[list[EpisodeVideo]]:

@@ -43,7 +43,7 @@ class SkillEvaluationResult:
     rows: tuple[dict[str, Any], ...]
     """Rows of the result: one for each skill in each episode."""
     failed: tuple[str, ...]
-    """Episodes that raised, and why."""
+    """Episodes that raised an error, with the reason."""
     new: int
 
     def summary(self) -> list[dict[str, Any]]:

@@ -31,7 +31,7 @@ WORLDS = ("1", "16")
 ACTIONS = ("nav", "pick")
 BODIES = ("skinned", "bones")
 STARTED_WITHIN_S = 600.0
-"""Time for which processes wait for each other to build their worlds."""
+"""Time within which all processes must have built their worlds [s]."""
 PAPER = {
     ("small", "robot", 1): "245±19",
     ("large", "robot", 1): "154±14",
@@ -40,7 +40,8 @@ PAPER = {
     ("small", "human_robot", 1): "136±8",
     ("small", "human_robot", 16): "1191±3",
 }
-"""Frames per second by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3, appendix on speed)."""
+"""Frames per second in the paper by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3,
+appendix on speed)."""
 NOTES = (
     "FPS: steps of all worlds per second, mean ± standard error over the runs. CPU: user and system time per step and world.",
     "Paper: one Nvidia V100; its appendix gives 155±26 for the human. One depth image per agent: 128x128, 256x256 for two.",

@@ -28,10 +28,10 @@ from sim_kinematic.sensing.camera_sensor import StateRenderer
 
 Agents = Literal["robot", "human", "robot_robot", "human_robot"]
 STEPS, UNTIMED = 300, 10
-"""Steps of a run, and how many of the first are not timed."""
+"""Number of steps of a run, and number of the first steps that are not timed."""
 ROBOT, HUMAN, HOME_SEED = "quad_arm", "female_0", 1
 CAMERA, HFOV_DEG = "robot_arm", 90.0
-"""A robot looks from its arm, a person from between the eyes: square pictures."""
+"""Camera of a robot, on its arm, and field of view of square pictures; a person looks from between the eyes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +41,14 @@ class Cell:
     home: str = "small"
     """Preset of the home: small, medium or large, with the areas and rooms of the paper's three scenes."""
     objects: int = 2
-    """Number of things that can be taken; other things stay fixed."""
+    """Number of objects that can be taken; other objects are fixed."""
     agents: Agents = "human_robot"
     worlds: int = 1
     action: Action = "nav"
     skinned: bool = True
     pictures: Literal["each", "arm"] = "each"
-    """The paper's square picture of each agent, or one of the first robot's arm camera as it is, 224x171."""
+    """Pictures of each step: the paper's square picture of each agent, or one of the first robot's arm camera,
+    224x171."""
 
     @property
     def image_size(self) -> tuple[int, int]:

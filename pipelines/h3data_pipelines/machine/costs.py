@@ -26,23 +26,23 @@ class Costs:
 
     task: str
     start_s: float
-    """A worker's start: Python and its imports; compiled kernels are there."""
+    """Time in which a worker starts: Python and its imports, without compilation of kernels [s]."""
     scene_s: float
-    """A home that a worker sees for the first time: making it, free space, collision shapes."""
+    """Time to prepare a home that is new to a worker: making it, free space, collision shapes [s]."""
     episode_s: float
-    """An episode, whatever its length: starts, paths, records."""
+    """Time of an episode that does not depend on its length: starts, paths, records [s]."""
     step_s: float
-    """A step of the simulation."""
+    """Time of a step of the simulation [s]."""
     steps: float
-    """Mean length of an episode."""
+    """Mean number of steps of an episode."""
     frame_s: dict[str, float]
-    """A frame of each camera in `FRAMES`, rendered and encoded."""
+    """Time of a frame of each camera in `FRAMES`, rendered and encoded [s]."""
     metrics_s: float
-    """The metrics of an episode, read from a dataset."""
+    """Time to compute the metrics of an episode from a dataset [s]."""
     driver_s: float
-    """An episode in the one process that writes: received, stored, uncompressed sizes and hashes included."""
+    """Time of an episode in the one process that writes: receiving, storing, uncompressed sizes and hashes [s]."""
     episode_bytes: float
-    """An episode in a dataset."""
+    """Size of an episode in a dataset [bytes]."""
 
     def to_json(self) -> dict[str, Any]:
         """Return all costs by name, for JSON."""

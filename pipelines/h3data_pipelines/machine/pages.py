@@ -70,7 +70,7 @@ class ErrorKind(NamedTuple):
     text: str
     """Text of the message, with the names of its variables in braces."""
     to_do: str
-    """Advice of the message; empty if the text or its class gives it."""
+    """Advice in the message; empty if the text or its class gives it."""
 
 
 def error_kinds(page: str) -> list[ErrorKind]:

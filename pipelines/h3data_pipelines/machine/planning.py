@@ -47,7 +47,8 @@ class Plan:
     price: float = 0.02
     """Price of a core for an hour, in your currency; spot prices differ by place and day."""
     lost_nodes: float = 0.05
-    """Share of the nodes that die in an hour, as spot machines do; each costs half a shard, a start and its homes."""
+    """Share of the nodes that fail in an hour, as spot machines do; each failure costs half a shard, a start and its
+    homes."""
     costs: Path | None = None
     """File of costs: what `h3data plan TASK --measure --json` printed (default: measured now)."""
     measure: bool = False

@@ -58,7 +58,7 @@ class Rendered:
     """Pictures of recordings."""
 
     files: tuple[Path, ...]
-    """Videos, and folders of images."""
+    """Paths of videos, and of folders of images."""
     failed: dict[str, str]
     """Reason why a recording could not be rendered, by its path."""
 
@@ -284,13 +284,13 @@ class Shard:
     path: Path
     stem: str
     counter: str
-    """Return a counter for progress lines, such as ``[2/7] ``."""
+    """Counter for progress lines, such as ``[2/7] ``."""
     below: PurePath
-    """Folder of the results below that of the command."""
+    """Folder of the results, relative to that of the command."""
 
 
 RenderedShard = tuple[list[str], dict[str, Any]]
-"""A summary as lines of text and as JSON data."""
+"""Summary of a rendered recording, as lines of text and as JSON data."""
 
 
 def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedShard:

@@ -38,9 +38,9 @@ CORE_M = 1e-3
 CHORE_EVENTS = ("activity", "takes", "puts", "walks_to")
 """Kinds of events of people who do chores (`sim_kinematic.crowd.errands.HandWork`)."""
 REACHING = ("pick", "place", "drop")
-"""Skills in which a hand approaches the surface on which something lies."""
+"""Names of skills in which a hand approaches the surface on which something lies."""
 HELD = "held object"
-"""Name of the part under which everything that an agent carries is counted."""
+"""Name of the part that stands for everything that an agent carries."""
 
 
 class Penetration(NamedTuple):
@@ -48,19 +48,20 @@ class Penetration(NamedTuple):
 
     agent: int
     parts: tuple[str, ...]
-    """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
+    """Names of the parts: capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
     """True for parts that are arms, hands and what they hold, [P]."""
     reaching: NDArray[np.bool_]
-    """Parts that may be in what an object lies on while it is picked or placed: hands, people's forearms, what is held, [P]."""
+    """True for parts that may enter the furniture of an object while it is picked or placed: hands, people's forearms,
+    what is held, [P]."""
     steps: NDArray[np.intp]
-    """The steps that were looked at, [T]."""
+    """Numbers of the checked steps, [T]."""
     depth_m: NDArray[np.float64]
     """Depth of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the
     distance of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis
     of the world."""
     thing: NDArray[np.object_]
-    """Name of the instance in which it is deepest, empty where none, [T, P]."""
+    """Name of the instance that each part enters most deeply, empty for none, [T, P]."""
     intended: NDArray[np.bool_]
     """True for contacts that the agent intends, [T, P]."""
 

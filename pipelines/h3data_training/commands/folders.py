@@ -18,7 +18,8 @@ LEFT = (
     "episodes.npz",
     "starts.npz",
 )
-"""Files that runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
+"""Names of files that runs write into their folders (h3data docs training, h3data docs populations, h3data docs
+skills)."""
 
 
 def run_folder(

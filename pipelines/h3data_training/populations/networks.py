@@ -22,12 +22,13 @@ from sim_kinematic.policies.choosers.chooser_network import (
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
-"""Probability at the start of training that an interrupted agent continues on its path: 97 in 100, else nobody would ever
-arrive."""
+"""Probability, at the start of training, that an interrupted agent continues on its path: 0.97, as otherwise nobody
+would ever arrive."""
 AT_HAND, ASIDE = 1.0, -2.0
-"""First biases of the network for picking and placing at the target, and for waiting and the primitives."""
+"""Initial biases of the network for picking and placing at the target, and for waiting and the primitives."""
 GUESSED = ("held_by_other", "at_goal")
-"""Observations of each object that a robot that sees is not told and learns to guess, so that its memory holds them."""
+"""Exact values of each object that a robot with pictures does not observe and learns to predict, so that its memory
+holds them."""
 
 
 def guessed_columns(agent: str, objects: int) -> list[int]:

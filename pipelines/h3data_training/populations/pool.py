@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HomeTask = tuple[PopulationSettings, str, int]
-"""Settings, the name of a home and its number."""
+"""Settings, name and number of a home."""
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
-"""Seed of all pools: runs differ in what they make of the same episodes."""
+"""Seed of all pools: runs differ only in what they learn from the same episodes."""
 TRIES = 3
 """Number of seeds of an episode that are tried in a home."""
 
@@ -47,10 +47,10 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     home: str
     walk: str
-    """Walk of the person."""
+    """Gait of the person."""
     seed: int
     starts: list[list[float]]
-    """``(x, z, heading)`` of robot and person."""
+    """Starts ``(x, z, heading)`` of robot and person."""
     goals: list[StoredGoal]
 
 

@@ -24,7 +24,7 @@ from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.sensing.sensor import scaled_depth
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
-"""Sums over worlds and steps that `ActionRepeatSkills.totals` keeps."""
+"""Names of the sums over worlds and steps in `ActionRepeatSkills.totals`."""
 
 
 class ActionRepeatSkills(ActionRepeat):

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from h3data_gpu import GpuRenderer, GpuScene
 
 HUMAN = "human"
-"""The view between a person's eyes; others have the names of the robot's cameras."""
+"""Name of the camera between a person's eyes; the robot's cameras have their own names."""
 NEAREST_M = 0.6
-"""Distance below which people are seldom from a camera [m]; one mesh has to do for all worlds."""
+"""Distance from a camera below which people seldom are [m]; one mesh is used for all worlds."""
 
 
 class TensorCameras:

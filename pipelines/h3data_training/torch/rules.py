@@ -19,11 +19,11 @@ class Held(NamedTuple):
     """The rules of a task that hold on a device."""
 
     like: Any
-    """Rules that a device plays; other rules may differ from them only in the fields below."""
+    """Rules that a device supports; other rules may differ from them only in the fields below."""
     ported: Names
-    """Fields of each spec that a device reads. Specs among them are looked into."""
+    """Fields of each spec that a device reads, including those of specs within it."""
     drawn: Names
-    """Fields that act on the CPU, where episodes are drawn, or on agents that no device has."""
+    """Fields that act on the CPU, where episodes are sampled, or on agents that no device has."""
 
 
 _BASE = (
@@ -114,7 +114,7 @@ HELD: Mapping[str, Held] = {
     ),
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
 }
-"""Rules that hold on a device, by task and by part of a learned skill."""
+"""Rules that a device supports, by task and by part of a learned skill."""
 _WORLD = ("solid_agents", "floor_moves")
 """Rules that the CPU's world reads of the spec of any task."""
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 FLAT = 1e-9
-"""A gradient of the distance shorter than this [m per cell] gives no direction: it is divided by this, not by its length."""
+"""Length of a gradient of the distance below which it gives no direction [m per cell]: it is divided by this value, not
+by its length."""
 
 
 class Floor(Protocol):
@@ -73,13 +74,13 @@ class Grids:
     table: Tensor
     """Coefficients k, for each square between four cell centres, of ``k0 + k1 a + k2 b + k3 a b``, [squares, 4] [m]."""
     shift: Tensor
-    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: a point p is at ``shift + scale p`` in cells."""
     scale: Tensor
     top: Tensor
-    """Largest place on the grid in cells, [R, 2], and ``last`` [R, 2] the last square that begins before it."""
+    """Largest position on the grid in cells, [R, 2]; ``last`` [R, 2] is the last square that begins before it."""
     last: Tensor
     stride: Tensor
-    """Squares per row, [R]."""
+    """Number of squares per row, [R]."""
     first: Tensor
     """Number of the first square, int64 [R]."""
     zero: Tensor

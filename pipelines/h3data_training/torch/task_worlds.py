@@ -46,13 +46,13 @@ class Play(NamedTuple):
     robot: RobotTensors
     human: HumanTensors
     episode: Tensor
-    """Number in the bank, int64 [W]."""
+    """Number of the episode in the bank, int64 [W]."""
     leg: Tensor
-    """Number of the way point that the person walks to, int64 [W]."""
+    """Number of the waypoint that the person walks to, int64 [W]."""
     steps: Tensor
-    """Steps of the episode so far, int64 [W]."""
+    """Number of steps of the episode so far, int64 [W]."""
     ended: Tensor
-    """The episode is over: the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step begins another, bool [W]."""
     memory: Mapping[str, Tensor]
     """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
@@ -65,7 +65,7 @@ class Play(NamedTuple):
     reward: Tensor
     """Reward of the last step, [W]."""
     terminated: Tensor
-    """The rules ended the episode in the last step, bool [W]."""
+    """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
     """True if the episode had all its steps, bool [W]."""
 
@@ -106,7 +106,7 @@ class Agents(NamedTuple):
     """Agents of all worlds at one step; there are no objects."""
 
     agents: tuple[Any, Any]
-    """Robots and people; each has ``xz`` and ``heading``."""
+    """State of robots and people; each has ``xz`` and ``heading``."""
     held_by: Tensor | None = None
     """Holders of objects: an empty array [W, 0]."""
 
@@ -120,10 +120,10 @@ class Outlines:
     robot_m: float
     """Radius of the robot's discs [m]."""
     human_m: float
-    """Radius of the person as a disc."""
+    """Radius of the disc of the person [m]."""
     cycle: WalkingCycle
     legs: Tensor
-    """Middles of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
+    """Centres of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
 
 
 class TensorWorld(NamedTuple):
@@ -135,7 +135,7 @@ class TensorWorld(NamedTuple):
     """World one step ago; headings of people are not known."""
     start: Agents
     touching: Tensor
-    """Robot and person touch, bool [W, 1]."""
+    """True if robot and person touch, bool [W, 1]."""
     floor_y: Tensor
     """Height of the floor in each world [m], [W]."""
     grids: Grids

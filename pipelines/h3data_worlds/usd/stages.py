@@ -71,7 +71,7 @@ class OpenStage:
     turn: NDArray[np.float64]
     """Rotation from the stage's axes to +Y up, shape [4, 4]."""
     missing: tuple[str, ...]
-    """Files that the stage refers to and that are not there."""
+    """Referenced files that do not exist."""
     faults: tuple[str, ...]
     """Other faults of composition, such as references in a circle."""
 

@@ -23,7 +23,7 @@ from h3data_worlds.usd.polygons import triangles_of
 from h3data_worlds.usd.stages import OpenStage, is_inside, pxr
 
 MAX_TRIANGLES = 20_000_000
-"""Limit of triangles of all prims of a stage, counted where they are stored."""
+"""Largest number of triangles of all prims of a stage, counted where they are stored."""
 _GRAY = (0.5, 0.5, 0.5)
 
 
@@ -46,9 +46,9 @@ class SurfaceReader:
     ours: bool = False
     """True if h3data wrote the stage: images are then multiplied with the colours of vertices."""
     notes: dict[str, None] = field(default_factory=dict)
-    """Sentences on what was left out, in order."""
+    """Sentences on left-out content, in order."""
     missing: dict[str, None] = field(default_factory=dict)
-    """Images that are not there."""
+    """Names of images that do not exist."""
     triangles: int = 0
     _looks: dict[Any, Look] = field(default_factory=dict)
     _images: dict[str, Texture | None] = field(default_factory=dict)

@@ -16,11 +16,11 @@ from h3data_worlds.usd.stages import OpenStage, pxr
 from h3data_worlds.usd.surfaces import MAKERS
 
 KEY = "h3data"
-"""Key of our records in ``customData``."""
+"""Key of h3data's records in ``customData``."""
 MAX_PRIMS = 2_000_000
-"""Limit of prims of a stage, those of instances counted each time."""
+"""Largest number of prims of a stage, those of instances counted each time."""
 MAX_COPIES = 200_000
-"""Limit of things in a stage, the copies of point instancers and instances of instances among them."""
+"""Largest number of things in a stage, including the copies of point instancers and instances of instances."""
 _SHOWN = ("default", "render")
 
 
@@ -44,13 +44,13 @@ class Thing:
     world: NDArray[np.float64]
     """Transform from the thing's prim to the world of the stage, shape [4, 4]."""
     body: str
-    """Path of the rigid body that it is or is part of; empty if it is part of none."""
+    """Path of the rigid body of the thing; empty if it is part of none."""
     label: str = ""
     """Semantic label of the thing; empty if it has none."""
     shared: str = ""
-    """Equal for things that are copies of each other; empty if unknown."""
+    """Key that is equal for copies of the same thing; empty if unknown."""
     loose: bool = False
-    """True for a single surface that nothing says is a thing, such as a wall."""
+    """True for a single surface that is not marked as a thing, such as a wall."""
     gprims: list[Gprim] = field(default_factory=list)
 
 

@@ -43,7 +43,7 @@ from h3data.srgb import bytes_to_linear
 from h3data_worlds.usd.stages import USD_ENDINGS, pxr, quiet
 
 KEY = "h3data"
-"""Key of our records in ``customData``."""
+"""Key of h3data's records in ``customData``."""
 VERSION = 1
 """Version of the records in a stage."""
 ROOT = "/Home"

@@ -13,9 +13,9 @@ from h3data.errors import InputError
 from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Message, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
-"""The head turns this far from the direction of the chest at most."""
+"""Largest turns of the head from the direction of the chest [rad]."""
 LARGEST_NUMBER = 1000.0
-"""Limit above which numbers are refused: they are a fault of the sender, and squared they would overflow."""
+"""Limit above which numbers are refused: they are an error of the sender, and their squares would overflow."""
 
 Vector = tuple[float, ...]
 
@@ -36,7 +36,7 @@ class Pick:
     """Command to take an object."""
 
     object: str | int
-    """Name, or index among the objects of the task."""
+    """Object to pick: its name, or its index among the objects of the task."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class HandOver:
     """Command to give the held object to a robot whose hand is empty and within reach."""
 
     agent: int
-    """Number of the robot."""
+    """Number of the robot that receives the object."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Open:
     """Command to open a door or drawer whose handle is within reach; the hand must be empty."""
 
     joint: str | int
-    """Name (``thing/part``), or index among the joints of the home."""
+    """Door or drawer to open: its name (``thing/part``), or its index among the joints of the home."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class PersonCommand:
     right: HandTarget | None = None
     """Targets of the left and of the right hand; None: the arm swings, or carries what the hand holds."""
     head: tuple[float, float] | None = None
-    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
+    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None: it looks ahead."""
     do: Do | None = None
     """Skill to begin. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 

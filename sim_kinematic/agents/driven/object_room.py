@@ -19,12 +19,13 @@ class ObjectRoomSpec:
     """Tolerances within which a thing can be put down."""
 
     sunk_m: float = 0.01
-    """A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
+    """Depth to which a thing may be put into its support [m]: recorded goals float 1 mm above a surface, a hand errs by
+    1 cm."""
     inside_m: float = 0.025
     """Largest depth of a thing in its neighbours [m]: sampled goals stay on the surface that carries them, but
     may overlap its edges (1 of 16 goals in small homes is 2.1 cm in one)."""
     upright: float = 0.7
-    """Vertical part of a contact's normal below which the contact is one from the side."""
+    """Vertical part of a contact's normal below which the contact is from the side."""
     support_m: float = 0.05
     """Largest distance of a thing from the surface below that carries it [m]."""
     apart_m: float = 0.01

@@ -49,13 +49,13 @@ class DrivenPersonSpec:
     head_rad_s: float = 6.0
     """Largest speed at which the head turns [rad/s]."""
     meeting_m: float = 0.12
-    """Distance from the robot's hand at which a giving hand stops, as the object is between them [m]."""
+    """Distance from the robot's hand at which a giving hand stops, with the object in between [m]."""
     draws_in_mps: float = 0.4
-    """Speed at which the robot's hand closes around what it is given."""
+    """Speed at which the robot's hand closes around the object that it is given [m/s]."""
     eyes_m: float = 1.4
     """Height at which a person who is about to sit down looks ahead [m]."""
     seat_within_m: float = 3.0
-    """A person who is told to sit takes the nearest seat within this distance."""
+    """Distance within which the nearest seat is used when a person has to sit down [m]."""
 
 
 DRIVEN = DrivenPersonSpec()

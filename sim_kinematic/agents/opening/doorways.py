@@ -17,7 +17,7 @@ from h3data.scene.passages import outlines, passable, passages
 from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
-"""Additional distance that agents rather walk than open a door [m]."""
+"""Additional distance that agents prefer to walking through a closed door [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class RoomDoors:
     open_share: ClassVar[float] = 0.95
     """Share of a door's range from which on an open door does not block a path."""
     scene: Scene
-    """Home with the doors as they are at rest."""
+    """Home with the doors at rest."""
     open_scene: Scene
     """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace

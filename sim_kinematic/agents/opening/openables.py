@@ -37,11 +37,11 @@ class OpeningSpec:
     frames: int = 8
     """Number of positions of a moving part at which collisions are tested."""
     samples: int = 6
-    """Number of points along each edge of a part's boxes, as which it is seen from above."""
+    """Number of points along each edge of a part's boxes that represent its outline from above."""
     shrunk_m: float = 0.008
     """Distance at which parts may pass things beside them [m]."""
     passes_m: float = 0.03
-    """Depth of an agent's disc in a part from which on the agent counts as hit [m]."""
+    """Depth of an agent's disc in a part above which the agent counts as hit [m]."""
     tall_m: float = 1.8
     """Height over the floor above which a part passes over everybody's head [m]."""
 
@@ -57,9 +57,9 @@ class ArticulatedParts:
     objects: Objects
     floor_y: float
     company: Company | None = None
-    """The agents in whose way it may stand; None: there is nobody."""
+    """Agents that it may obstruct; None: there are none."""
     doors: frozenset[int] = frozenset()
-    """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
+    """Joints of the doors between rooms: they are opened from both sides, and walls do not obstruct them."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

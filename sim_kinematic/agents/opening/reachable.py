@@ -22,11 +22,11 @@ class ReachQuery(NamedTuple):
     scene: Scene
     """Home with the doors and drawers around the place open."""
     point: Array
-    """Position of the place then, shape [3] [m]."""
+    """Position of the place with these doors and drawers open, shape [3] [m]."""
     taken: NDArray[np.float64]
-    """Floor points [P, 2] over which open parts stand."""
+    """Floor points [P, 2] below open parts."""
     opened: tuple[tuple[ArticulatedParts, int], ...] = ()
-    """The parts that had to be opened, in this order: the home before, and the number of the joint."""
+    """Parts that have to be opened, in order: the home before, and the number of the joint."""
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:

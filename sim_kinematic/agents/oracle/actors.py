@@ -44,10 +44,10 @@ class SubGoals:
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
-    """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
+    """Paths to the initial place of each object; ``to_goal`` has the paths to its goal."""
     to_goal: Sequence[PathTable]
     starts: Array
-    """Starts of the objects [K, 3] [m]."""
+    """Initial positions of the objects [K, 3] [m]."""
     goals: Array
     to_part: Mapping[int, SubGoal]
     """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with what opens as it is at rest."""

@@ -33,13 +33,13 @@ class ArmClearanceSpec:
     line_radius_m: float = 0.01
     """Radius of the line along which the hand approaches [m]."""
     frames: int = 8
-    """Postures that are looked at between the resting one and the one over the point."""
+    """Number of postures that are checked between the resting one and the one over the point."""
     held_m: float = 0.05
     """Radius of the ball that represents the object in the hand [m]."""
     ways_kept: int = 1000
-    """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
+    """Number of cached paths of a robot's arm, 12 kB each; a home has about 450."""
     answers_kept: int = 10_000
-    """Answers that are remembered, 300 bytes each."""
+    """Number of cached answers, 300 bytes each."""
 
 
 CLEARANCE = ArmClearanceSpec()

@@ -34,13 +34,13 @@ from sim_kinematic.motion.state import ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
 STUCK_STEPS = 60
-"""Steps without getting nearer to its destination after which a base gives up."""
+"""Number of steps without getting nearer to its destination after which a base gives up."""
 ARRIVED_M = 0.04
-"""A base is at its destination within this distance."""
+"""Distance within which a base is at its destination [m]."""
 NEARLY_M = 0.15
-"""A base that has stalled is content with this distance."""
+"""Distance within which a stalled base is at its destination [m]."""
 FACING_RAD = 0.04
-"""A base faces a point within this angle."""
+"""Angle within which a base faces a point [rad]."""
 
 
 @dataclass(eq=False)
@@ -64,7 +64,7 @@ class RobotDriver:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
-    """Agents that it gives way to, itself included; None: it is alone."""
+    """Agents to which the robot gives way, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False

@@ -24,23 +24,23 @@ class HandReachSpec:
     """Directions, distances and heights in which robots' hands are tried."""
 
     hand_pitch_rad: float = -0.6
-    """Angle by which a robot's hand points below the horizon when it picks and places. It never changes, so an object that was
-    taken standing stands again where it is placed."""
+    """Angle by which a robot's hand points below the horizon when it picks and places [rad]. It never changes, so an
+    object that was upright is upright again where it is placed."""
     all_directions: int = 6
-    """Joints that an arm needs for a given position and orientation."""
+    """Number of joints that an arm needs for any position and orientation."""
     free_yaw_rad: float = 0.7
     """Largest angle by which the hand of an arm with fewer joints may turn from the reach direction; more would reach around
     things."""
     bearings_rad: tuple[float, ...] = (0.0, -np.pi / 2, np.pi / 2, np.pi)
     """Directions in which an arm is tried: ahead, right, left, behind."""
     distances_m: tuple[float, ...] = tuple(0.45 + 0.05 * k for k in range(15))
-    """Distances from the robot's root at which things are reached for."""
+    """Distances from the robot's root at which reaching is tested [m]."""
     heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
-    """Heights of tables and counters, by which the direction is chosen."""
+    """Heights of tables and counters for which the direction is chosen [m]."""
     aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
     """Directions in which a robot takes handles that its base cannot turn to face, relative to its reaching direction [rad]."""
     reach_slack_m: float = 0.01
-    """Distance by which a hand may be off its target, far above the tolerances of the search [m]."""
+    """Largest distance of a hand from its target, far above the tolerances of the search [m]."""
 
 
 HAND_REACH = HandReachSpec()
@@ -50,7 +50,7 @@ class ReachPostures(NamedTuple):
     """Postures for targets [*batch]."""
 
     joint_pos: NDArray[np.float64]
-    """All joints of the robot, [*batch, J]."""
+    """Positions of all joints of the robot, [*batch, J]."""
     reached: NDArray[np.bool_]
     """True if the hand reaches its target, [*batch]."""
 

@@ -39,8 +39,7 @@ from sim_kinematic.motion.step import drive_robots
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
-"""A base does not drive while the hand is farther from its middle than the hand of the folded arm by more than this
-[m]."""
+"""Distance beyond that of the folded arm's hand from the base's middle above which a base does not drive [m]."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:

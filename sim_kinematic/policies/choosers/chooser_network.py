@@ -38,7 +38,8 @@ from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 
 KIND = "gru_chooser"
 SKILLS_WITH_OBJECT = 4
-"""``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
+"""Skills with an object, the first of `sim_kinematic.agents.skills.choices`: ``nav_to_object``, ``nav_to_goal``,
+``pick`` and ``place``."""
 OBSERVATIONS = (
     "obj_gps_compass",
     "obj_goal_gps_compass",
@@ -62,7 +63,7 @@ OBSERVATIONS = (
 )
 """Observations of a chooser, in this order (`sim_kinematic.sensing.table.SENSES`)."""
 OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
-"""Observations that tell where the other agent is."""
+"""Observations that contain the position of the other agent."""
 PIXELS = (
     "arm_depth",
     DETECTOR,
@@ -82,7 +83,7 @@ Habitat's configuration, at the places that the task gave them), and the result 
 from each start and goal follows from what the paper's robot observes. The chooser does not observe what the person does or
 holds, where objects are now, which of them are at their goals, or any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
-"""Observations without which no chooser works."""
+"""Observations that every chooser needs."""
 
 
 def rest_count(agent: str) -> int:

@@ -14,7 +14,7 @@ from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
-"""Name of the three skills that come with the package."""
+"""Name of the three skills that are included in the package."""
 SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 

@@ -38,7 +38,7 @@ class SkillView(NamedTuple):
     holds: bool
     """True if the hand holds something."""
     beyond_m: float
-    """Distance within which way points are skipped [m]."""
+    """Distance within which waypoints are skipped [m]."""
 
     @property
     def path_m(self) -> float:

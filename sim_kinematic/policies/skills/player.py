@@ -18,7 +18,7 @@ from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
 from sim_kinematic.sensing.table import OF_SKILLS
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
-"""The skills of the upper layer that a policy file stands for, by the task on its card."""
+"""Skills of the upper layer that a policy file provides, by the task on its card."""
 PICTURE = "arm_depth"
 
 

@@ -49,7 +49,7 @@ class SocialNavState:
     """Memory of the rules for W worlds, [W] each."""
 
     rewards: SocialNavReward | None
-    """Rewards; None where they are not computed."""
+    """Rewards of the step; None if they are not computed."""
     geodesic: Array
     """Shortest path from robot to person [m], inf where there is none."""
     collides: NDArray[np.bool_]
@@ -64,9 +64,9 @@ class SocialNavState:
     goal: NDArray[np.int64]
     """Number of the goal that a scripted person walks to, -1 before the first one and for people without a script."""
     leg: NDArray[np.int64]
-    """Index of the way point within the path to the goal."""
+    """Index of the waypoint within the path to the goal."""
     plan: HumanPlan | None = None
-    """Whole walk of the scripted person, once it has been asked for."""
+    """Whole walk of the scripted person, after its first use."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
 

@@ -24,7 +24,7 @@ SNAP_M = 5.0
 AT_MARK_M = 0.5
 LOOKS_RAD = 0.35
 LOOK_STEPS = 15
-"""Number of steps for which the thing has to be looked at: a player who happens to face it would never see the step."""
+"""Number of steps for which a player has to look at the thing: one who happens to face it would never see the step."""
 WALK, LOOK, TAKE, PUT = range(4)
 HOW: Mapping[int, Mapping[str, str]] = {
     WALK: {

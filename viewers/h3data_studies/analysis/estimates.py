@@ -40,10 +40,12 @@ class StudyModel:
     """Model of a study: the choices of its analysis."""
 
     steps: StepsModel = "auto"
-    """``poisson``: the paper's model. ``observation``: with a random intercept per episode, for counts that vary more than
-    Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model is never shown alone."""
+    """Model of the steps. ``poisson``: the paper's. ``observation``: with a random intercept per episode, for counts
+    that vary more than Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model never
+    appears alone."""
     failed: FailedEpisodes = "leave-out"
-    """Episodes without success have no steps to success and are left out, or count the longest duration E (``limit``)."""
+    """Treatment of episodes without success: left out, as they have no steps to success, or counted as the longest
+    duration E (``limit``)."""
     random: tuple[str, ...] = GROUPS
     """Random intercepts; those with one level are left out."""
 
@@ -68,7 +70,7 @@ class Estimate:
     """Lower end of the 95% interval; NaN if there is none."""
     high: float = NAN
     episodes: int = 0
-    """Episodes in which the metric is defined."""
+    """Number of episodes in which the metric is defined."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +78,7 @@ class FittedMeans:
     """Model of the compared metric, with its means and their pairwise differences."""
 
     label: str
-    """``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
+    """Name of the model: ``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
     fit: GlmmFit
     means: MarginalMeans
     differences: tuple[Contrast, ...]
@@ -88,7 +90,7 @@ class StudyAnalysis:
     """Estimated means by condition, and contrasts of one metric."""
 
     conditions: tuple[str, ...]
-    """People alone first."""
+    """Names of the conditions, people alone first."""
     participants: int
     episodes: Mapping[str, int]
     """Number of episodes by condition."""
@@ -98,7 +100,7 @@ class StudyAnalysis:
     compared: str
     """Name of the metric whose means are contrasted; empty if none could be."""
     models: tuple[FittedMeans, ...]
-    """Models of the compared metric: the one of the table first, then the one to hold it against, if either is unsound."""
+    """Models of the compared metric: the one of the table first, then one for comparison if either is unsound."""
     notes: tuple[str, ...]
 
     def to_text(self) -> str:

@@ -22,7 +22,7 @@ class Block:
     condition: str
     scene: str
     episodes: tuple[str, ...]
-    """Episode ids, in order."""
+    """Ids of the episodes, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)

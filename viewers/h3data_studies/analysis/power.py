@@ -25,11 +25,11 @@ class Power:
     second: str
     power: float
     low: float
-    """Lower end of the Wilson interval: simulation error only."""
+    """Lower end of the Wilson interval, which covers simulation error only."""
     high: float
     runs: int
     failed: int
-    """Number of runs without a converged fit, as after separation; counted as finding nothing."""
+    """Number of runs without a converged fit, as after separation; they count as runs without an effect."""
 
 
 def simulate_study(

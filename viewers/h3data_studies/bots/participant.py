@@ -31,10 +31,10 @@ SAID = "Filled in by a script."
 DONE_M = 0.15
 """Distance from its goal within which a thing counts as placed, as for the page [m]."""
 REACTION_STEPS = (8, 20)
-"""Time between what a bot sees and what it does: 0.25 to 0.7 s, in steps, so that it does not depend on how fast the clock
-runs."""
+"""Time between an observation of a bot and its action, 0.25 to 0.7 s [steps], so that it does not depend on the speed
+of the clock."""
 HESITATES = 0.3
-"""Share of decisions before which a bot steers a little by keys."""
+"""Share of decisions before which a bot briefly steers by keys."""
 FACES_RAD = 0.1
 TRIES = 4
 """Number of places that are tried for a thing."""

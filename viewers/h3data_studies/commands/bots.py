@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from h3data_studies.design import Design
 
 AT_ONCE_EACH = 5
-"""Participants at once for each process that simulates: more only wait for each other."""
+"""Number of simultaneous participants for each process that simulates; more would only wait for each other."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class StudyBots:
     study: tyro.conf.Positional[Path]
     """The study file (.toml)."""
     participants: int | None = None
-    """Number of participants (default: as many as the study has places)."""
+    """Number of participants (default: the number of places of the study)."""
     workers: int = 1
     """Processes that simulate."""
     at_once: int | None = None
@@ -157,8 +157,8 @@ class Crowd:
     right: dict[tuple[str, str], float] = field(default_factory=dict)
     """Right answers to checks, by form and item."""
     known: dict[str, tuple[str, str]] | None = None
-    """Participants who began before, by name: their status, and the code by which they go on. None: a served study, which
-    asks for ids of its own form."""
+    """Participants who began before, by name: their status, and the code by which they continue. None: a served study,
+    which asks for ids of its own form."""
 
     async def take_part(self, link: str, episodes: int) -> None:
         """Let all scripted participants take part.

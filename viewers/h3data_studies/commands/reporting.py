@@ -58,11 +58,12 @@ class StudyReport:
     study: tyro.conf.Positional[Path]
     """The study file, or the study's folder."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder to write to (default: report in the study's folder, which h3data study forget keeps free of who is forgotten)."""
+    """Folder to write to (default: report in the study's folder, from which h3data study forget also deletes
+    participants)."""
     everybody: bool = False
     """Include participants who have not finished."""
     free_text: bool = False
-    """Include what participants wrote themselves; it may say who they are."""
+    """Include what participants wrote themselves, which may identify them."""
     model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     pictures: int = 6

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SERVER = "h3data_studies.serve"
 LOCK = ".running"
-"""File of a study's folder that its server holds; it has the participants' link in it."""
+"""Name of the file in a study's folder that its server locks; it contains the participants' link."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ class StudyRun:
     study: tyro.conf.Positional[Path]
     """The study file (.toml)."""
     workers: int = 1
-    """Processes that simulate; about 12 people at once each."""
+    """Number of processes that simulate; each serves about 12 people at once."""
     seats_per_address: int = 12
-    """Participants at once from one network address."""
+    """Largest number of simultaneous participants from one network address."""
     port: PortOption = 0
     host: HostOption = "127.0.0.1"
     cert: CertOption = None
@@ -89,7 +89,7 @@ class StudyRun:
     allow_hosts: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     speed: Annotated[float, tyro.conf.Suppress] = 1.0
-    """Above 1 time runs faster: for scripted participants."""
+    """Speed of the clock, for scripted participants: above 1 it runs faster."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:

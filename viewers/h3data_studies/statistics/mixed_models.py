@@ -55,17 +55,18 @@ class GlmmFit:
     modes: Mapping[str, Mapping[str, float]]
     """Most likely intercept of each level, by random factor and level."""
     log_likelihood: float
-    """Laplace's approximation, constants included."""
+    """Log-likelihood by Laplace's approximation, constants included."""
     dispersion: float
     """Pearson's statistic over the residual degrees of freedom; far above 1, the standard errors are too small."""
     converged: bool
     notes: tuple[str, ...]
     """Reservations about the estimates: singular, over-dispersed, always alike, not converged."""
     overdispersed: bool = False
-    """The response varies so much more than the family allows that standard errors and p values are too small."""
+    """True if the response varies so much more than the family allows that standard errors and p values are too
+    small."""
     penalised: bool = False
-    """People (or other levels of a random intercept) always answer alike, so that their deviation has no finite estimate;
-    a penalty holds it back, and estimates depend on that penalty."""
+    """True if people (or other levels of a random intercept) always answer alike, so that their deviation has no finite
+    estimate; a penalty keeps it finite, and estimates depend on that penalty."""
 
     @property
     def sound(self) -> bool:

@@ -31,7 +31,7 @@ class Solution:
     effects: list[Array]
     """Change of the spherical effects of each factor."""
     coefficients: Array
-    """Change of the coefficients; empty if they are bound."""
+    """Change of the coefficients; empty if they are held fixed."""
     log_determinant: float
     """Logarithm of the determinant, log |I + Λ'Z'WZΛ|."""
     fixed_factor: Array

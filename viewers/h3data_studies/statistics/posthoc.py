@@ -85,7 +85,7 @@ class Contrast:
     low: float
     """Lower end of the interval, widened for the number of contrasts."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of the interval, widened for the number of contrasts."""
     z: float
     p: float
     """Two-sided p value, adjusted."""

@@ -24,7 +24,7 @@ class RankAgreement:
     first_means: tuple[float, ...]
     second_means: tuple[float, ...]
     kendall: float
-    """Kendall's tau-b: 1 same order, -1 reversed; NaN if all means of one evaluation are equal."""
+    """Rank correlation by Kendall's tau-b: 1 same order, -1 reversed; NaN if all means of one evaluation are equal."""
     kendall_low: float
     """Lower end of the bootstrap interval; NaN if no method has two values."""
     kendall_high: float

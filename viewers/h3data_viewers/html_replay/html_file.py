@@ -28,7 +28,8 @@ from h3data_viewers.html_replay.tracks import add_tracks
 from h3data_viewers.templates import render
 
 MOST_STATES = 6000
-"""States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
+"""Largest number of states in a file (200 s at 30 Hz): of longer recordings every second, third, ... is stored, and the
+page interpolates between them."""
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,7 @@ LEARNED: Mapping[str, str] = {
     "reward": "reward: mean of a step",
     "distance_m": "distance_m: mean distance between robot and person [m], the curve that the paper plots beside the reward",
 }
-"""Captions of quantities that the paper's training curves show too."""
+"""Captions of quantities that are also in the paper's training curves."""
 
 
 def learning_charts(curves: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[Svg]:

@@ -59,7 +59,7 @@ class Run:
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
     seeds: tuple[str, ...] = ()
-    """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
+    """Policies, differing only by their training seed, whose episodes these are; empty: one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
         """Return the mean of each metric over ``chosen`` episodes of the run (default: all), by name.
@@ -120,7 +120,7 @@ class ReportData:
     paths: tuple[Path, ...]
     runs: tuple[Run, ...]
     unmeasured: Mapping[str, tuple[str, ...]]
-    """Reasons, with the names of the recordings that could not be measured."""
+    """Names of the recordings that could not be measured, by reason."""
     curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
     """Learning curves by dataset name: columns [N] of which one is ``step``."""
 

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from h3data.scene import Scene
 
 Posing = Callable[..., "Replay"]
-"""Makes the `Replay` of a recording, with further arguments by name."""
+"""Function that makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 MOST_MESSAGES = 12
-"""Number of messages that a card of an episode shows."""
+"""Largest number of messages on the card of an episode."""
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""
 _QUALITY = 78
@@ -57,7 +57,7 @@ class Plan:
     origin: tuple[float, float]
     """World ``(x, z)`` of the upper left corner."""
     image: str = ""
-    """JPEG as a data URI, drawn pale, so that lines stand out; empty: nobody recorded the scene."""
+    """JPEG as a data URI, in pale colours so that lines stand out; empty if no recording has the scene."""
 
     def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the coordinates on the plan of floor points [K, 2] [m]."""

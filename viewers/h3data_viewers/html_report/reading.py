@@ -28,7 +28,7 @@ class Read:
     episode: ReportEpisode
     task: str
     info: Mapping[str, Any]
-    """``profile`` and ``partners`` of `h3data.recording.Episode.info`, where it has them."""
+    """Entries ``profile`` and ``partners`` of `h3data.recording.Episode.info`, if it has them."""
 
 
 @dataclass(frozen=True)

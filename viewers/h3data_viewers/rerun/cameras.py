@@ -22,7 +22,7 @@ from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 ImageStorage = Literal["stills", "video"]
 STILL_WIDTH = 320
 STILL_EVERY = 5
-"""Video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
+"""Number of video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +32,7 @@ class CameraFeed:
     camera: Camera
     """Intrinsics and name."""
     poses: NDArray[np.floating] | None = None
-    """Camera-to-world matrices (OpenCV axes), [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
+    """Matrices from camera (OpenCV axes) to world, [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
     video: Path | None = None
     """An MP4 file."""
     steps: NDArray[np.integer] | None = None

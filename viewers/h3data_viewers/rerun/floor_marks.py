@@ -19,9 +19,9 @@ from h3data_viewers.rerun.sink import Sink
 GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
-"""Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
+"""Distance of points below which their labels would overlap when the whole home is in view [m]."""
 SCAN_EVERY = 3
-"""Number of steps between scans that are shown: 360 points take 4 kB."""
+"""Number of steps between visible scans: 360 points take 4 kB."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ class ViewMesh:
     normals: NDArray[np.float32] | None
     uv: NDArray[np.float32] | None = None
     texture: Texture | None = None
-    """The surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
+    """Texture; the surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
 
     @property
     def nbytes(self) -> int:

@@ -18,9 +18,9 @@ from h3data.recording.records import Recording
 from h3data_viewers.rerun.sink import Sink
 
 NOTHING = "-"
-"""Lane state while no skill or motion is running."""
+"""Name of the lane state while no skill or motion is running."""
 ENDED = "ended"
-"""Lane state after the last step, in files whose other recording is longer."""
+"""Name of the lane state after the last step, in files whose other recording is longer."""
 STATE_COLORS = {
     NOTHING: 0x3A3A3AFF,
     "apart": 0x616161FF,

@@ -36,7 +36,7 @@ class Patch:
     """Offset of each vertex along the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V,
     3]."""
     ruler: tuple[int, int]
-    """Two vertices of the base."""
+    """Indices of two vertices of the base, whose distance is the length of the ruler."""
     ruler_m: float
     faces: NDArray[np.int32]
     joints: NDArray[np.uint8]
@@ -46,11 +46,11 @@ class Patch:
     slots: NDArray[np.uint8]
     """Index into `SLOTS` of the colour that each vertex has, shape [V]."""
     shade: Floats
-    """Factor on that color, shape [V]."""
+    """Factor on the colour of each vertex, shape [V]."""
     paint: NDArray[np.uint8]
     """Makeup of skin, 0..255, shape [V, `PAINTS`]; no columns for cloth."""
     body_normals: bool
-    """Shaded as the base is, not as its own faces lie."""
+    """True if the patch is shaded with the normals of the base instead of its own."""
 
     def placed(self, vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
         """Return vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""

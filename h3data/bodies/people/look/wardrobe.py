@@ -26,9 +26,9 @@ class Outfit:
 
     pieces: tuple[str, ...]
     colors: tuple[Mapping[str, Color], ...]
-    """Sets of colors, of which each body has one."""
+    """Sets of colors; each body wears one of them."""
     tights: bool = False
-    """Legs are in the color ``legs`` instead of bare."""
+    """True if the legs have the color ``legs``; False if they are bare."""
 
 
 def _sets(slots: tuple[str, ...], *rows: tuple[int, ...]) -> tuple[Mapping[str, Color], ...]:
@@ -131,7 +131,7 @@ HAIRSTYLES = (
     "scarf",
 )
 SCALP = {"receding": 0.12, "crop": 0.85}
-"""Share of the color of hair in the scalp, by hair style, where it is not the usual one."""
+"""Share of the hair's color in the scalp, by hair style; styles without an entry have the usual share."""
 SCALP_USUAL = 0.6
 
 

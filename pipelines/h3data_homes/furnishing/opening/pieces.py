@@ -18,11 +18,12 @@ from h3data_homes.solids import Color, MeshBuilder, shade
 BOARD_M = 0.018
 """Thickness of sides, shelves and fronts."""
 SWING_RAD = np.pi / 2
-"""Doors open this far: hinged at their outer edge they stay within their own width, so that what stands beside is not hit."""
+"""Angle by which doors open: hinged at their outer edge they stay within their own width, so that they do not hit their
+neighbours."""
 PULL_SHARE = 0.8
 """Share of its depth by which a drawer opens."""
 INSIDE: Color = (232, 230, 226)
-"""Inner walls of fridges and dishwashers."""
+"""Colour of inner walls of fridges and dishwashers."""
 _X, _Y, _Z = (np.eye(3)[k] for k in range(3))
 
 Span = tuple[float, float]

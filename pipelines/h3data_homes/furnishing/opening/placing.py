@@ -22,10 +22,11 @@ class MovingPart:
     shapes: tuple[Shape, ...]
     joint: Joint
     handle: NDArray[np.float64]
-    """Point at which a hand takes hold, shape [3] [m]."""
+    """Position of the handle, shape [3] [m]."""
     receptacles: tuple[Receptacle, ...] = ()
     behind: tuple[str, ...] = ()
-    """Receptacles of the piece (those of a part as ``part/receptacle``) that it shuts off; its own it shuts off in any case."""
+    """Other receptacles of the piece that the part shuts off (those of a part as ``part/receptacle``); it always shuts
+    off its own."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +34,7 @@ class Opening:
     """A piece of furniture that opens."""
 
     kind: str
-    """Kind after which the instance is named."""
+    """Kind from which the name of the instance is made."""
     category: str
     builder: MeshBuilder
     """Builder of the body, which stands still."""

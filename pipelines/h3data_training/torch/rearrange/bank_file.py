@@ -24,7 +24,7 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 
 FORMAT = "h3data.rearrange_bank/1"
 BESIDE = ("spec", "robot", "human", "floors", "scenes", "names")
-"""Fields of a bank that are no arrays."""
+"""Names of the fields of a bank that are not arrays."""
 ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
 
 

@@ -22,7 +22,7 @@ from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose, Sensor
 from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
-"""A second ago, of the two moments of `Paths`; 0 is now."""
+"""Index of the moment a second ago among the two moments of `Paths`; 0 is now."""
 
 
 class Paths(NamedTuple):
@@ -33,8 +33,8 @@ class Paths(NamedTuple):
     lengths: Tensor
     """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
-    """Places of each agent `AHEAD_M` further on, on the path to each object or, with what they hold, to its goal,
-    [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
+    """Places of each agent `AHEAD_M` further on the path to each object or, with an object in hand, to its goal, [W, 2,
+    K, n, 2]; to an object in the other agent's hand it is the straight line."""
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
@@ -222,7 +222,7 @@ OF_PATHS = (
     "path_ahead",
     "other_path_ahead",
 )
-"""Observations that `Paths` are needed for."""
+"""Observations that are computed from `Paths`."""
 
 
 def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED) -> tuple[str, ...]:

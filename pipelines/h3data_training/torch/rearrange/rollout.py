@@ -15,7 +15,7 @@ class Things(NamedTuple):
     """Agents of all worlds at one step, and who holds what."""
 
     agents: tuple[Any, Any]
-    """Robots and people; each has ``xz`` and ``heading``."""
+    """State of robots and people; each has ``xz`` and ``heading``."""
     held_by: Tensor
     """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
 
@@ -26,9 +26,9 @@ class SkillWorld(NamedTuple):
     worlds: int
     state: Things
     before: Things
-    """Agents one step ago; who held what is not known."""
+    """Agents one step ago; the holders of objects at that time are not known."""
     touching: Tensor
-    """Robot and person touch, bool [W, 1]."""
+    """True if robot and person touch, bool [W, 1]."""
 
 
 class SkillTensorRollout:

@@ -40,13 +40,13 @@ class Choices:
     part: Tensor
     """Number of the choice's door or drawer; 0 if it has none."""
     steps: Tensor
-    """Number of steps that each choice lasts; 0 for those that go somewhere."""
+    """Number of steps that each choice lasts; 0 for movements to a place."""
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
     """Place of a held object in the frame of the agent's root, [3] [m]."""
     changes: int
-    """Step of a pick or a place in which the object changes hands."""
+    """Number of the step of a pick or a place in which the object changes hands."""
 
     @classmethod
     def of(

@@ -25,7 +25,7 @@ class Tables:
     objects: int
     """Number K of objects."""
     parts: int
-    """Number M of doors and drawers that agents may choose to open."""
+    """Number M of doors and drawers that agents may open."""
     fields: int
     """Number F of distance fields."""
     place: Tensor
@@ -34,7 +34,7 @@ class Tables:
     ends: Tensor
     """End points of each distance field, up to S of them, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
-    """Points are int16: a GPU reads half as much."""
+    """First point of the path from each cell, int16: a GPU reads half as much as with int32."""
     first_of: Tensor
     after: Tensor
     after_of: Tensor
@@ -43,7 +43,7 @@ class Tables:
     corners: Tensor
     corners_of: Tensor
     counts: Tensor
-    """Corners of each home, int64 [R]."""
+    """Number of corners of each home, int64 [R]."""
     origins: Tensor
     shapes: Tensor
     floor_y: Tensor

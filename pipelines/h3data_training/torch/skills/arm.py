@@ -23,7 +23,7 @@ class Hand(NamedTuple):
     point: Tensor
     """Points at which hands hold things, or origins of links, [W, 3] [m]."""
     axes: Tensor
-    """The axes of the link as columns, [W, 3, 3]."""
+    """Axes of the link as columns, [W, 3, 3]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,7 +18,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, body_indices
 from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "holds", "point", "stand")
-"""The arrays of a `SkillBank`, with a row for each start."""
+"""Names of the arrays of a `SkillBank`, with a row for each start."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class SkillBank:
     """N starts of one skill, all with as many objects."""
 
     floors: tuple[FreeSpace, ...]
-    """Floors of the homes that are played in, for the robot's base."""
+    """Floors of the homes, for the robot's base."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the home, [N]."""
@@ -37,9 +37,9 @@ class SkillBank:
     objects: NDArray[np.float64]
     """Places of the objects [N, K, 3] [m]."""
     bodies: NDArray[np.int64]
-    """The objects' numbers among the instances of the home, [N, K]."""
+    """Numbers of the objects among the instances of the home, [N, K]."""
     turned: NDArray[np.float64]
-    """The objects' orientations, quaternions [N, K, 4]."""
+    """Orientations of the objects, quaternions [N, K, 4]."""
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
@@ -47,7 +47,7 @@ class SkillBank:
     point: NDArray[np.float64]
     """Point at which the object lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
-    """The nearest place from which the hand reaches the point, [N, 2] [m]."""
+    """Nearest place from which the hand reaches the point, [N, 2] [m]."""
     unfolded: NDArray[np.float64] | None = None
     """Share of the motion from rest to reaching that the arm has made at the start, [N]; None: it is at rest."""
 

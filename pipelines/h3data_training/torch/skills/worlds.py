@@ -37,7 +37,7 @@ from sim_kinematic.sensing.table import OF_SKILLS, Pose
 from sim_kinematic.tasks.skills.skill_starts import Skill
 
 NOTHING = -1
-"""Held by an empty hand."""
+"""Number for an empty hand."""
 
 
 class SkillPlay(NamedTuple):
@@ -45,7 +45,7 @@ class SkillPlay(NamedTuple):
 
     robot: RobotTensors
     joints: Tensor
-    """Joints of the arm, [W, n]."""
+    """Positions of the arm's joints, [W, n]."""
     objects: Tensor
     """Places of the objects [W, K, 3] [m]."""
     turned: Tensor
@@ -55,12 +55,12 @@ class SkillPlay(NamedTuple):
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
-    """True if the base keeps clear by what the hand carries too, bool [W]."""
+    """True if the base also keeps clear by the size of what the hand carries, bool [W]."""
     episode: Tensor
-    """Number in the bank, int64 [W]."""
+    """Number of the episode in the bank, int64 [W]."""
     steps: Tensor
     ended: Tensor
-    """The episode is over: the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step begins another, bool [W]."""
     way: Tensor
     """Length of the path to the stand [W] [m]."""
     towards: Tensor
@@ -70,7 +70,7 @@ class SkillPlay(NamedTuple):
     folded: Tensor
     """Distance from the hand to its resting place [W] [m]."""
     paid: Tensor
-    """The object has been at its goal, bool [W]."""
+    """True if the object has been at its goal, bool [W]."""
     before_xz: Tensor
     before_heading: Tensor
     reward: Tensor
