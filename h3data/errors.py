@@ -1,4 +1,4 @@
-"""The error tree. Every error that the user can fix is an `H3DataError`: the command line prints it and exits with 2."""
+"""Tree of errors. Every error that the user can fix is an `H3DataError`: the command line prints it and exits with 2."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ R = TypeVar("R")
 
 
 class H3DataError(Exception):
-    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do.
+    """Base of all errors that h3data raises. Messages state what was expected, what was given and what to do.
 
     Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives the
     sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
@@ -52,7 +52,7 @@ class PluginError(H3DataError):
 
 
 class JobStopError(H3DataError):
-    """A whole job cannot go on, such as when its budget is used up: what was played stays, and no episode is begun."""
+    """Error that stops a whole job, for example when its budget is used up: played episodes stay, and no other begins."""
 
 
 class UntrustedNameError(InputError):

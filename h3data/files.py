@@ -1,4 +1,4 @@
-"""Files that appear under their final name only once they are complete, and the location of caches."""
+"""Files that get their final name only when they are complete, and the location of caches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rotations and rigid poses: the conventions of the whole package, in one place.
+"""Rotations and rigid poses, with the conventions of the whole package.
 
 World: right-handed, metres, +Y up, as Habitat and glTF. Agent root frame: x forward, y up, z right; the heading is the
 rotation about +Y, 0 faces +X, positive turns left. Quaternions are ``[x y z w]``, unit. A pose7 is

@@ -1,4 +1,4 @@
-"""Modules and objects that were renamed: importing an old name fails and says the new one. There are no aliases."""
+"""Modules and objects that were renamed: importing an old name fails and states the new one. There are no aliases."""
 
 from __future__ import annotations
 
@@ -303,7 +303,7 @@ def new_name(module: str) -> str | None:
 
 
 class MovedFinder(MetaPathFinder):
-    """Finder of last resort for modules that nothing else has found."""
+    """Import finder of last resort, for modules that no other finder has found."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -320,7 +320,7 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
+    """Import finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
 
     modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
     """Modules whose objects were renamed."""

@@ -1,4 +1,4 @@
-"""Named things that installed packages can add to: tasks, robots, policies, metric profiles, file formats.
+"""Registries that installed packages can extend: tasks, robots, policies, metric profiles, file formats.
 
 A `Registry` knows the built-in ones from a table and third-party ones from the entry points of one group; ``module:name``
 names one that is not installed as an entry point. Nothing is imported before it is asked for.
@@ -120,7 +120,7 @@ def _installed_modules_only() -> Iterator[None]:
 
 
 class PluginWarning(UserWarning):
-    """An installed plug-in is ignored; the others go on working."""
+    """An installed plug-in is ignored; the others still work."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Progress of long work on stderr: a bar on a terminal, a line every half minute where there is none (logs, CI, ``2> log``)."""
+"""Progress of long work on stderr: a bar on a terminal, otherwise a line every half minute (logs, CI, ``2> log``)."""
 
 from __future__ import annotations
 

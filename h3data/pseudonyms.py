@@ -1,4 +1,4 @@
-"""Pseudonyms of people: the same id for the same person under a secret key, which stays out of the data."""
+"""Pseudonyms of people: the same id for the same person under a secret key, which is not part of the data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shared parts of all commands: their result, common options, and care with output folders."""
+"""Shared parts of all commands: their result, common options, and safe output folders."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ ShareScenesFlag = Annotated[
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marks a text option that names an entry of a registry: its help lists the names, those of plug-ins included."""
+    """Marker of a text option that names an entry of a registry: its help lists the names, plug-ins included."""
 
     names: Callable[[], Iterable[str]]
     """Function that returns the names. It is called only when the command is chosen: finding plug-ins takes some
@@ -126,7 +126,7 @@ class Command(Protocol):
 
 @dataclass(frozen=True)
 class Group:
-    """Commands that share a first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
+    """Group of commands with the same first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
 
     about: str
     commands: Mapping[str, type[Command]]

@@ -1,4 +1,4 @@
-"""Options of a command, read off the fields of its dataclass, and their values from text."""
+"""Options of a command, from the fields of its dataclass, and their values from text."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ would swallow the positional argument behind it."""
 
 @dataclass(frozen=True)
 class OfTasks:
-    """Marks an option that only some tasks have: the others refuse it, and their help leaves it out.
+    """Marker of an option that only some tasks have: the others refuse it, and their help leaves it out.
 
     A task that is given as ``module:Class`` may have it."""
 
@@ -66,7 +66,7 @@ class OfTasks:
 
 @dataclass(frozen=True)
 class TaskNotes:
-    """Marks an option that means something different in each task: the help of a task adds its sentence."""
+    """Marker of an option whose meaning depends on the task: the help of a task adds its sentence."""
 
     note: Callable[[str], str]
     """Function that returns the sentence for the name of a task; empty: there is none."""
@@ -95,7 +95,7 @@ class Option:
 
     @property
     def word_type(self) -> Any:
-        """Type for assigning words to the option without reading them: flags are read, values stay text."""
+        """Type for assigning words to the option without parsing them: flags are parsed, values stay text."""
         if self.kind is bool:
             return annotated(bool, self.metadata)
         if self.count is None and self.flags:
@@ -109,7 +109,7 @@ class Option:
 
     @property
     def of_tasks(self) -> OfTasks | None:
-        """Mark that says which tasks have the option; None if all have it."""
+        """Marker that restricts the option to some tasks; None if all have it."""
         return next((mark for mark in self.metadata if isinstance(mark, OfTasks)), None)
 
     def note(self, task: str) -> str:

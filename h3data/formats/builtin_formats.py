@@ -1,4 +1,4 @@
-"""The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken.
+"""Built-in file formats, and how each is recognised. The first format that fits is used, so the order matters.
 
 Habitat's and those of ROS are recognised here, so that a message can name them; what reads and writes them comes from
 h3data_habitat and h3data_ros by the group ``h3data.formats``, whose entries take the places of the rows with their names.

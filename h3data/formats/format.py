@@ -1,4 +1,4 @@
-"""Records that describe a file format, for the built-in table and for plug-ins alike."""
+"""Records that describe a file format, for built-in formats and plug-ins."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Format:
 
     @property
     def option(self) -> str:
-        """The name on the command line."""
+        """Name of the format on the command line."""
         return self.name.replace("_", "-")
 
 

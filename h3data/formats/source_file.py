@@ -1,4 +1,4 @@
-"""Bytes and JSON of other programs' files: unpacked within limits, read once for detection and reading alike."""
+"""Bytes and JSON of other programs' files: unpacked within limits, and read once for detection and reading."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class SourceFile(os.PathLike[str]):
 
     @cached_property
     def head(self) -> bytes:
-        """The first chunk."""
+        """First chunk of the content."""
         self._rest = byte_chunks(self.path, self._size)
         return next(self._rest, b"")
 
     @cached_property
     def data(self) -> bytes:
-        """The whole content, held in memory."""
+        """Whole content, held in memory."""
         return b"".join(self.chunks())
 
     def chunks(self) -> Iterator[bytes]:

@@ -63,7 +63,7 @@ class _PartLowering(NativeLowering):
 
 
 class PartCompiler(Compiler):
-    """numba's compiler, with `_PartLowering` in place of `NativeLowering`."""
+    """Compiler of numba with `_PartLowering` in place of `NativeLowering`."""
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's pipelines, with `_PartLowering` in place of `NativeLowering`."""

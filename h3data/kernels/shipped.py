@@ -1,4 +1,4 @@
-"""Machine code of kernels that comes with the package ``h3data_kernels``, so that nobody waits for it to be compiled.
+"""Machine code of kernels from the package ``h3data_kernels``, which avoids waiting for compilation.
 
 A file holds one kernel for one list of argument types, as numba pickles it for its own cache, with xz. Its name has the
 digests of all that went into it (`h3data.kernels.digests`), and its folder the versions of Python and numba, the system and

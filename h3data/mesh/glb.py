@@ -1,4 +1,4 @@
-"""GLB containers (glTF 2.0 binary): the JSON document, the binary chunk, and records that all writers share."""
+"""GLB containers (glTF 2.0 binary): the JSON document, the binary chunk, and records for all writers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
+"""Reader of glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
 
 Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins stand
 as their joints do in the file (`h3data.recording.assets.skinned_meshes` poses them), morph targets have the weights of the

@@ -34,7 +34,7 @@ class Look:
 
 
 class GltfMaterials:
-    """The materials of one document. If images cannot be read, one warning says so; their materials keep the factor."""
+    """Materials of one document. One warning reports all unreadable images; their materials keep the factor."""
 
     def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
         self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where

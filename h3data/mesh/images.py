@@ -1,4 +1,4 @@
-"""Decodes images of mesh files: PNG, JPEG, WebP and whatever else Pillow reads, and KTX2 with Basis Universal.
+"""Decoding of images in mesh files: PNG, JPEG, WebP and other formats of Pillow, and KTX2 with Basis Universal.
 
 The size is read from the header and checked before anything is decoded.
 """

@@ -1,4 +1,4 @@
-"""Triangle meshes and their textures, as mesh files are read into them and written from them."""
+"""Triangle meshes and their textures, independent of file formats."""
 
 from __future__ import annotations
 

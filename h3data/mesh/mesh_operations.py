@@ -1,4 +1,4 @@
-"""Operations on meshes: joining, painting, moving, flat shading."""
+"""Operations on meshes: joining, colouring, moving, flat shading."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class LeftOut:
 
     @property
     def reason(self) -> str:
-        """Reason why the episodes were left out: one that they share, or the fault of a damaged one."""
+        """Reason why the episodes were left out: a common one, or the fault of a damaged one."""
         return self.error.reason if isinstance(self.error, UnmeasurableError) else str(self.error)
 
 

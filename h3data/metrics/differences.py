@@ -21,7 +21,7 @@ from h3data.terminal import aligned
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Differences:
-    """``first - second`` of each metric, episode by episode."""
+    """Difference ``first - second`` of each metric, episode by episode."""
 
     profile: str
     metrics: tuple[Metric, ...]

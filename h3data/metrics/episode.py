@@ -1,4 +1,4 @@
-"""The measurement of one episode: values, notes about them, and the rows in which something happened."""
+"""Measurement of one episode: values, notes about them, and the rows in which notable events happened."""
 
 from __future__ import annotations
 

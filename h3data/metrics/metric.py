@@ -1,4 +1,4 @@
-"""The record of one metric: formula, unit, source, and what it reads."""
+"""Record of one metric: formula, unit, source, and required data."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ class Metric:
 
     @property
     def profile(self) -> str:
-        """Name of the metric's profile: ``paper``."""
+        """Name of the metric's profile, such as ``paper``."""
         return self.id.split("/")[0]
 
     @property
     def task(self) -> str:
-        """Task or group that the metric belongs to: ``social_nav``."""
+        """Task or group of the metric, such as ``social_nav``."""
         return self.id.split("/")[1]

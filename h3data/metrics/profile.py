@@ -1,4 +1,4 @@
-"""A profile: one definition of the metrics of some tasks, with the functions that compute them."""
+"""Profiles: definitions of the metrics of some tasks, with the functions that compute them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GFX_REPLAY = "gfx_replay"
 
 @dataclass(frozen=True, kw_only=True)
 class Computed:
-    """The numbers that a profile computes for one recording."""
+    """Values that a profile computes for one recording."""
 
     values: Mapping[str, float]
     """Values by metric name; metrics left out are undefined."""
@@ -37,7 +37,7 @@ def _no_series(_recording: Recording) -> Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """Profile: a set of definitions of metrics for some tasks.
+    """Set of metric definitions for some tasks.
 
     Example::
 

@@ -32,7 +32,7 @@ class PublishedRow:
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedTable:
-    """A table of a paper, to be shown beside measured values."""
+    """A table of a paper, for comparison with measured values."""
 
     paper: str
     """Short name of the paper: ``Habitat 3.0``."""
@@ -66,7 +66,7 @@ class PublishedContrasts:
 
 @dataclass(frozen=True, kw_only=True)
 class Milestone:
-    """An event of an episode: shown as a key frame, and as the share of episodes that have reached it by then."""
+    """An event of an episode, for key frames and for charts of the share of episodes that have reached it."""
 
     flag: str
     """Flag of the profile's series; the milestone is its first row."""
@@ -86,7 +86,7 @@ FailedEpisodes = Literal["leave-out", "limit"]
 
 @dataclass(frozen=True, kw_only=True)
 class StudyLayout:
-    """Analysis of episodes that participants did under several conditions (info ``participant``, ``condition``)."""
+    """Analysis of the episodes of participants under several conditions (info ``participant``, ``condition``)."""
 
     columns: tuple[str, ...]
     """Metrics of the table: 0/1 metrics by a binomial mixed model, others by their bootstrapped mean."""

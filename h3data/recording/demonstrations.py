@@ -1,4 +1,4 @@
-"""``meta/h3data.json`` of demonstrations exported to LeRobot: what an environment needs to show a policy what they held.
+"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, from which an environment shows the same observations.
 
 LeRobot's own metadata say how wide a state is and how large a picture. They do not say which numbers the state is made of,
 which lens took the picture, under which rules and in which homes. A policy that is shown anything else fails without a message.
@@ -21,7 +21,7 @@ VERSION = 1
 
 
 class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera of which every episode has a video."""
+    """A camera that has a video of every episode."""
 
     key: str
     """Name of the feature, such as ``observation.images.robot_arm``."""
@@ -40,7 +40,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
-    """Agent of a dataset of demonstrations, as its first episode has it."""
+    """Agent of a dataset of demonstrations, as in its first episode."""
 
     name: str
     kind: str

@@ -1,4 +1,4 @@
-"""Episodes wherever they are stored, in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
+"""Episodes in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 
 
 class HasEpisodes(Protocol):
-    """Protocol of what holds episodes: a dataset, or `Episodes`."""
+    """Protocol of objects with episodes: a dataset, or `Episodes`."""
 
     def all(self) -> Episodes:
         """Return all episodes, in the order in which they are stored."""
@@ -75,7 +75,7 @@ class HasEpisodes(Protocol):
 
 
 class Episodes(Sequence[Recording]):
-    """Episodes in an order, from any number of datasets and logs, read when they are asked for.
+    """Episodes in an order, from any number of datasets and logs, read on demand.
 
     Slices, `filter`, `split` and `merge` give further ones without reading steps; `save` writes them as a dataset.
     """

@@ -1,4 +1,4 @@
-"""Opens any supported recording, an MCAP log or a dataset folder; errors name what any other file is."""
+"""Opening of any supported recording, an MCAP log or a dataset folder; errors name the kind of any other file."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class Agent:
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Something that happened at one step: a collision, a pick, a user's click."""
+    """Event at one step: a collision, a pick, a user's click."""
 
     step: int
     agent: int
@@ -181,7 +181,7 @@ class Episode:
 
 
 class Columns(dict[str, NDArray[Any]]):
-    """Columns by name. The `KeyError` of an unknown one says what was meant."""
+    """Columns by name. The `KeyError` of an unknown one suggests a known one."""
 
     def __missing__(self, name: object) -> NDArray[Any]:
         raise UnknownColumnError(
@@ -228,7 +228,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from the first to the last step."""
+        """Time from the first to the last step [s]."""
         times = self.columns["time_ns"]
         return float(times[-1] - times[0]) * 1e-9 if len(times) else 0.0
 

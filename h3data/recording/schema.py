@@ -62,7 +62,7 @@ class Column:
 
     @property
     def width(self) -> int:
-        """Values per row."""
+        """Number of values per row."""
         return math.prod(self.shape)
 
     def empty(self, rows: int = 0) -> NDArray[Any]:

@@ -45,7 +45,7 @@ class RemotePath:
 
     @property
     def uri(self) -> str:
-        """The whole URI with its credentials: for opening it again, never for display."""
+        """Whole URI with its credentials: for opening it again, never for display."""
         return f"{self.scheme}://{self.path}" + (f"?{self.query}" if self.query else "")
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class RemotePath:
 
     @property
     def parents(self) -> list[RemotePath]:
-        """The enclosing folders, nearest first."""
+        """Enclosing folders, nearest first."""
         folders, at = [], self
         while at.parent != at:
             at = at.parent

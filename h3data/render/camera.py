@@ -1,4 +1,4 @@
-"""Cameras: perspective, orthographic, fisheye and equirectangular.
+"""Cameras of four kinds: perspective, orthographic, fisheye and equirectangular.
 
 h3data uses the OpenCV frame (x right, y down, z forward) with pixel centres at +0.5; `CONVENTIONS` converts other frames.
 """

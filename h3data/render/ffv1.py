@@ -120,7 +120,7 @@ def _with_checksum(data: bytes) -> bytes:
 
 
 class Ffv1Encoder:
-    """Encodes uint16 images [H, W]. It has buffers of its own, so use one per thread."""
+    """Encoder of uint16 images [H, W]. It has buffers of its own, so use one per thread."""
 
     def __init__(self, width: int, height: int) -> None:
         """Prepare the buffers and the ``record`` that decoders need."""

@@ -1,4 +1,4 @@
-"""Outputs of renderers, with shapes and types, and the poses that an image was rendered with."""
+"""Outputs of renderers, with shapes and types, and the poses for an image."""
 
 from __future__ import annotations
 

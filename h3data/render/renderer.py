@@ -1,4 +1,4 @@
-"""`Renderer`, one interface to all back ends, for single cameras or batches of cameras over many worlds."""
+"""Renderer with one interface to all back ends, for single cameras or batches of cameras over many worlds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what
 
 
 class Engine(Protocol):
-    """A back end. It keeps the state of each world and renders; `Renderer` has already checked its arguments."""
+    """A back end. It holds the state of each world and renders; `Renderer` has already checked its arguments."""
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         """Set the transforms [n, 3, 4] of instances [n]."""
@@ -59,7 +59,7 @@ class Engine(Protocol):
 
 
 class Renderer:
-    """Renders a `RenderScene`; holds the state of its worlds and the buffers.
+    """Renderer of a `RenderScene`; holds the state of its worlds and the buffers.
 
     Use one renderer per thread, or one with ``threads``, which renders batches in parallel. A new renderer shows the scene
     as it was built, in every world.

@@ -1,4 +1,4 @@
-"""Cameras of a recording by name: those of its robots and people, some that watch them, some from above; and camera files."""
+"""Cameras of a recording by name: on robots and people, watching them, from above; and camera files."""
 
 from __future__ import annotations
 

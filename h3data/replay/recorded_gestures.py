@@ -1,4 +1,4 @@
-"""Gestures of people from the events of a recording: what somebody does at a place moves their hands while they are there."""
+"""Gestures of people from the events of a recording: an activity at a place moves the person's hands during the stay."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class RigTrack:
 
 @dataclass(frozen=True)
 class JointTrack:
-    """A door, a drawer or what lies in it, which moves with a joint of the home."""
+    """A door, a drawer or an object in it, which moves with a joint of the home."""
 
     joint: int
     """Index of the joint in ``scene.joint_pos``."""

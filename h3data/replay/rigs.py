@@ -1,4 +1,4 @@
-"""Robots, doors and drawers as pages pose them: forward kinematics in the browser."""
+"""Robots, doors and drawers for web pages: forward kinematics in the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Capsules of all that moves in a recording, which cast its soft shadows in baked light."""
+"""Capsules of everything that moves in a recording, which cast its soft shadows in baked light."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LightField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ShadowCasters:
-    """The instances of a scene that move, in groups that do not darken themselves: an agent, or one thing."""
+    """Moving instances of a scene, in groups that cast no shadow on themselves: an agent, or one thing."""
 
     field: LightField
     members: NDArray[np.int64]

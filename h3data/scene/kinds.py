@@ -1,4 +1,4 @@
-"""The catalogue of kinds of things: semantic class, mass and grasp of each, read from ``datasets/kinds/``.
+"""Catalogue of kinds of things: semantic class, mass and grasp of each, read from ``datasets/kinds/``.
 
 A file of the catalogue also holds how the generator of homes makes each kind (`Kind.model`), which only the generator reads.
 """

@@ -1,4 +1,4 @@
-"""The scene that a few words mean: a generated home, one of a set, or a file."""
+"""Scenes by a name: a generated home, a scene of a set, or a file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedScene:
-    """A scene that can be loaded, and the words by which the command line knows it."""
+    """A scene that can be loaded, and its name on the command line."""
 
     name: str
     """Name of the scene, such as ``small:3`` or ``h3-homes/test#3``, or a path."""

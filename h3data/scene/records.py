@@ -97,7 +97,7 @@ Motion = Literal["static", "kinematic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """Asset at its place in the world."""
+    """Asset with its place in the world."""
 
     name: str
     asset: str
@@ -206,12 +206,12 @@ class Joint:
 
     @property
     def closed(self) -> float:
-        """The position nearest to 0 [rad or m]."""
+        """Position nearest to 0, at which the part is closed [rad or m]."""
         return min(max(0.0, self.lower), self.upper)
 
     @property
     def opened(self) -> float:
-        """The limit farther from `closed` [rad or m]."""
+        """Limit farther from `closed` [rad or m]."""
         # a door that opens both ways is open on the side on which it opens farther
         return self.upper if self.upper - self.closed >= self.closed - self.lower else self.lower
 

@@ -58,7 +58,7 @@ class SceneSet:
 
     @property
     def label(self) -> str:
-        """Name and split, e.g. ``h3-homes/test``."""
+        """Name and split, such as ``h3-homes/test``."""
         return f"{self.name}/{self.split}" if self.split else self.name
 
     @property

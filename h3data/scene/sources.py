@@ -69,7 +69,7 @@ SceneSource = SceneSpec | SceneFile
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSize:
-    """Figures that ``h3data scenes list`` shows for scenes of one generator; None if a figure varies or does not apply."""
+    """Figures in the list of ``h3data scenes list`` for scenes of one generator; None if a figure varies or does not apply."""
 
     area_m2: float | None = None
     """Floor area [m2]."""
@@ -79,7 +79,7 @@ class SceneSize:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneGenerator:
-    """Scenes that are made of a name and a seed, such as ``small:3``."""
+    """Generator of scenes from a name and a seed, such as ``small:3``."""
 
     names: Sequence[str]
     """Names that may come before the colon in the name of a scene."""
@@ -99,7 +99,7 @@ class SceneGenerator:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneReader:
-    """Reads scenes from files of one maker, and may write such files."""
+    """Reader of scenes from files of one format, which may also write such files."""
 
     endings: Sequence[str]
     """Endings of the files' names, in lower case."""

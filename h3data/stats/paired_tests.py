@@ -23,7 +23,7 @@ _ENUMERATED = 20
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """``first - second`` over the episodes in which both are defined."""
+    """Difference ``first - second`` over the episodes in which both are defined."""
 
     first_mean: float
     second_mean: float

@@ -1,4 +1,4 @@
-"""Writes meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
+"""Writing of meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
 
 `h3data.scene.save_scene` keeps scenes exactly, with vertex colours. Many programs, habitat-sim's PBR shader among them,
 drop vertex colours of meshes that have a material; files for other programs are therefore written here: colours of

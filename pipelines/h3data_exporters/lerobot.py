@@ -1,4 +1,4 @@
-"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that its policies look for."""
+"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that LeRobot's policies require."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of a recording, posed at every step, in the form that writers of other formats take."""
+"""Parts of a recording, posed at every step, in the form for writers of other formats."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Skeleton:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedPart:
-    """Part of a scene that is drawn."""
+    """Visible part of a scene."""
 
     name: str
     mesh: Mesh
@@ -53,7 +53,7 @@ class PosedPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedCamera:
-    """A camera that somebody or something carries."""
+    """A camera on an agent or a body."""
 
     name: str
     poses: Array

@@ -40,7 +40,7 @@ class Transitions:
 
     @property
     def flat_state(self) -> NDArray[np.float32]:
-        """All of ``state`` side by side, shape [T, S]."""
+        """All values of ``state`` side by side, shape [T, S]."""
         return np.concatenate(list(self.state.values()), axis=1)
 
 

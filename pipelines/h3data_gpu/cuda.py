@@ -1,4 +1,4 @@
-"""CUDA C that is compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes.
+"""CUDA C that is compiled at first use and launched on torch's stream, by NVRTC and the driver through ctypes.
 
 NVRTC comes with torch's own CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), one file per source,
 options, device and NVRTC version.

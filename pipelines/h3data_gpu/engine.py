@@ -1,4 +1,4 @@
-"""The back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
+"""Back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
 
 Poses come from the host. For thousands of worlds, or if poses are on the device already, use `GpuRenderer`.
 """

@@ -1,4 +1,4 @@
-"""The structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
+"""Structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
 
 Pointers of the CUDA code are addresses here.
 """

@@ -1,4 +1,4 @@
-"""`GpuRenderer`: thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
+"""Renderer of thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MAX_PIXELS = 2**31 - 1
 
 
 class GpuRenderer:
-    """Renders the same images as `h3data.render.Renderer`, for many worlds at once.
+    """Renderer of the same images as `h3data.render.Renderer`, for many worlds at once.
 
     A world is a scene with its own poses, deformed vertices and camera. Everything runs on torch's current stream; nothing
     waits for the GPU or returns to the host unless asked to, so a step can be captured as a graph (`captured`). A new

@@ -1,4 +1,4 @@
-"""Host side of `shade.cu` and `occlusion.cu`: from the rasteriser's words to ids, normals and RGB."""
+"""Host side of `shade.cu` and `occlusion.cu`: from rasterised words to ids, normals and RGB."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SCENE_TABLES = (
 
 
 class Shader:
-    """The tables for shading, other than the scenes', and the launches."""
+    """Tables for shading, other than the scenes', and the launches."""
 
     def __init__(self, tensors: dict[str, torch.Tensor], packed: Packed, light: Light, device: torch.device) -> None:
         import torch

@@ -1,4 +1,4 @@
-"""Limits on what a recording from elsewhere may request: more would not fit into usual memory, and is not a recording."""
+"""Limits on the size of a foreign recording: a larger one would not fit into usual memory, and is not a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads pickles of plain values and NumPy arrays without running anything that they name.
+"""Reading of pickles of plain values and NumPy arrays without running anything that they name.
 
 Unpickling calls whatever a file names. This unpickler has an allow-list instead, with checked stand-ins of its own behind
 every name: NumPy's functions trust their arguments, and ``dtype.__setstate__`` would change a dtype of the whole process.
@@ -67,7 +67,7 @@ def builtin(value: Any) -> Any:
 
 
 class Record:
-    """Placeholder for an object of a known class: holds what the file says about it, and runs nothing."""
+    """Placeholder for an object of a known class: holds its data from the file, and runs nothing."""
 
     def __setstate__(self, state: Any) -> None:
         raise pickle.UnpicklingError(f"a {type(self).__name__} has no state")

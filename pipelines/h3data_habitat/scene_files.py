@@ -1,4 +1,4 @@
-"""Scene files that recordings and episodes name, looked up below the user's asset folders."""
+"""Scene files that recordings and episodes refer to, searched below the user's asset folders."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Folders(Protocol):
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """Folders in which files are looked for."""
+        """Folders in which files are searched."""
         ...
 
     def resolve(self, uri: str) -> Path | None:

@@ -1,4 +1,4 @@
-"""Stand-ins for missing assets of an imported recording that look like what they replace.
+"""Replacements for missing assets of an imported recording, of similar appearance.
 
 They are built-in robots and people in the recorded postures, and plain boxes with names on them for the rest.
 `h3data.recording.assets.placeholders` has the marked ones, which are the default.

@@ -1,4 +1,4 @@
-"""Final acceptance test of a home, from its collision shapes alone: an agent can walk everywhere and reach everything."""
+"""Final acceptance test of a home, by its collision shapes alone: agents must be able to reach everything."""
 
 from __future__ import annotations
 

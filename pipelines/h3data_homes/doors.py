@@ -1,4 +1,4 @@
-"""Leaves in the doorways of a home: they swing into a room where nothing is in their way, and slide into the wall elsewhere."""
+"""Leaves in the doorways of a home: they swing into a room if nothing obstructs them, and otherwise slide into the wall."""
 
 from __future__ import annotations
 

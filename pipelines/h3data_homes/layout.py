@@ -1,4 +1,4 @@
-"""The plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
+"""Plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
 
 Plan coordinates are floor points (x, z) of the world [m]. Rooms extend to the middle of inner walls and to the inner face
 of outer walls, so that their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.

@@ -1,4 +1,4 @@
-"""Solids that furniture and walls are made of: vertices, shading normals, triangles and texture places."""
+"""Solids for furniture and walls: vertices, shading normals, triangles and texture places."""
 
 from __future__ import annotations
 

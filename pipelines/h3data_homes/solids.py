@@ -1,4 +1,4 @@
-"""`MeshBuilder`, which collects coloured and textured solids into one mesh, and operations on colours and meshes."""
+"""Builder of meshes from coloured and textured solids, and operations on colours and meshes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _Turn = NDArray[np.float64] | None
 
 
 class MeshBuilder:
-    """Collects solids and returns them as one `Mesh`.
+    """Builder that collects solids and returns them as one `Mesh`.
 
     A part whose colour is a `Finish` shows that material, its grain along the part's longest side; every part is cut from
     a different place of the pattern. Meshes are built lazily, by `mesh`, because most furniture is tried and discarded.

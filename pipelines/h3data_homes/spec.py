@@ -176,7 +176,7 @@ class HomeSpec:
 
     @property
     def program(self) -> HomePreset:
-        """The preset with this spec's overrides applied."""
+        """Preset with the overrides of this spec applied."""
         preset = HOME_PRESETS[self.preset]
         area_m2 = preset.area_m2 if self.area_m2 is None else self.area_m2
         bedrooms = preset.bedrooms if self.bedrooms is None else self.bedrooms

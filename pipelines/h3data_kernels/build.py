@@ -1,4 +1,4 @@
-"""Fills the folder of this Python and numba with the kernels that h3data's commands use: ``make kernels``.
+"""Builder of the compiled kernels that h3data's commands use, for this Python and numba: ``make kernels``.
 
 It runs the commands of `SESSIONS`, each session in a process tree and with caches of its own, and keeps what they have loaded
 or compiled (`h3data.kernels.shipped.RECORD`). Kernels whose code has not changed are loaded from the folder, so only new ones

@@ -95,7 +95,7 @@ class LanguageSpec(RearrangeSpec):
 
 
 class Errand(msgspec.Struct, frozen=True):
-    """A part of the work: to bring a thing to one of its goals, or to do something to it in place."""
+    """Part of the work: bringing a thing to one of its goals, or handling it in place."""
 
     thing: int
     handle: bool

@@ -1,4 +1,4 @@
-"""Experts for tasks in words, which know the errands of a task and share them out, or each take the nearest.
+"""Experts for tasks in words, which know the errands of a task and share them, or each choose the nearest.
 
 ``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
 and leaves to others what they hold or head for. ``language_talk`` plans for itself, and says so. With the rule
@@ -53,7 +53,7 @@ WORK_M = 4.0
 
 
 class Plan:
-    """Plan for the errands of one episode: which agent does which."""
+    """Assignment of the errands of one episode to agents."""
 
     def __init__(self, episode: Any, kinds: Sequence[str]) -> None:
         self.errands = msgspec.convert(episode.extra["errands"], list[Errand])
@@ -317,7 +317,7 @@ class Expert:
 
 
 class Talker(Speaker, Expert):
-    """Agent with a plan of its own, which says what it takes, leaves, has handled and sees, and hears the same of others."""
+    """Agent with a plan of its own, which announces what it takes, leaves, has handled and sees, and hears others do so."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str]) -> None:
         Speaker.__init__(self, episode)

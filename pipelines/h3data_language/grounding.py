@@ -1,4 +1,4 @@
-"""Words for the things, furniture and rooms of a home, and which of them they mean."""
+"""Words for the things, furniture and rooms of a home, and their meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PARTNR's episodes as tasks in words: what has to be brought where, in which order, so that their propositions become true.
+"""PARTNR's episodes as tasks in words: the goals and order that make their propositions true.
 
 An episode says when it is complete, not how. Here each of its propositions gets things, of which each gets a place, so that
 experts carry them out and skills know goals; evaluated are the propositions alone. The files are those of PARTNR's users,
@@ -58,7 +58,7 @@ class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
 
     @property
     def is_planned(self) -> bool:
-        """True if the places of all things are known, which PARTNR's files leave open."""
+        """True if the places of all things are known; PARTNR's files do not state them."""
         return LAYOUT in self.extra
 
 

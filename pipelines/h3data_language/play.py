@@ -95,7 +95,7 @@ class LanguagePerson(LanguageDriver, PersonDriver):
 
 
 class LanguageRobot(LanguageDriver, RobotDriver):
-    """Robot of a task in words, which puts things down at goals only: it gives the thing another one."""
+    """Robot of a task in words. It puts things down only at goals, so it assigns another goal first."""
 
     def bring(self, k: int, to: Destination) -> str:
         """Give held thing ``k`` a goal at a destination and bring it there."""

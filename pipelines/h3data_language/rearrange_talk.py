@@ -1,4 +1,4 @@
-"""Planners of rearrangement that tell each other what they take and where things are, and the same planners without words.
+"""Planners of rearrangement that announce what they take and where things are, and the same planners without messages.
 
 ``nearest_talk`` and ``nearest_quiet`` bring the nearest object that is left, as robots and as people. The first leaves to
 others what they have said to take, and with the rule ``observe=seen`` looks first where it has been told that an object is.
@@ -31,7 +31,7 @@ def nearest_talk(task: Any, episode: Any, number: int) -> Any:
 
 
 class Teller(Speaker):
-    """Planner of the nearest object that nobody else has said to take."""
+    """Planner that chooses the nearest object that no other agent has announced to take."""
 
     def __init__(self, episode: Any, number: int) -> None:
         super().__init__(episode)
@@ -48,7 +48,7 @@ class Teller(Speaker):
 
     @property
     def interrupts_every(self) -> int:
-        """Number of steps after which `interrupts` is asked again."""
+        """Number of steps between calls of `interrupts`."""
         return getattr(self.policy, "interrupts_every", 1)
 
     def _choose(self, view: RearrangeView) -> Action:

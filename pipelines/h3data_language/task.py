@@ -1,4 +1,4 @@
-"""The task ``language``: agents carry out an instruction in words, and propositions say how far they have come."""
+"""Task ``language``: agents carry out an instruction in words, and propositions measure their progress."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
 
 
 class LanguageCodec(RearrangeCodec):
-    """Writes tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
+    """Codec of tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
 
     foreign: ClassVar[str] = PROPOSITIONS
 
@@ -193,7 +193,7 @@ def why_not(play: Any, number: int, thing: int) -> str | None:
 
 
 class LanguageHousehold(Household):
-    """Agents who also put things elsewhere than at the goals of the task."""
+    """Agents who can also put things at other places than the goals of the task."""
 
     def aim(self, number: int, action: Action) -> str:
         """Give a thing a free spot at a destination as its goal, and tell it as an event."""
@@ -280,7 +280,7 @@ def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Act
 
 
 class Language(Rearrange):
-    """Carry out an instruction in words."""
+    """Task to carry out an instruction in words."""
 
     name = "language"
     Spec: ClassVar[type[Any]] = LanguageSpec

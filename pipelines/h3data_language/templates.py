@@ -1,4 +1,4 @@
-"""Templates of tasks in words: their wordings, and what each asks for in clauses.
+"""Templates of tasks in words: their wordings, and their requirements as clauses.
 
 A clause is a line of words: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p`` (any
 two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``floor a`` (on the
@@ -33,7 +33,7 @@ class Template(NamedTuple):
 
     @property
     def moves_twice(self) -> bool:
-        """True if the second clause says where the object of the first one goes afterwards."""
+        """True if the second clause moves the object of the first one again."""
         return self.relation == "twice"
 
 

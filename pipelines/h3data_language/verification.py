@@ -34,7 +34,7 @@ TRIES = 20
 
 
 class PlayedTask(NamedTuple):
-    """The result of playing one task with some agents."""
+    """Result of playing one task with some agents."""
 
     success: bool
     complete: float
@@ -58,7 +58,7 @@ def verify_task(task: Any, episode: Any) -> tuple[PlayedTask, PlayedTask]:
 
 
 class TaskHome(NamedTuple):
-    """The tasks of a run that are in one home."""
+    """Tasks of a run in one home."""
 
     name: str
     """Identifier of the home in its set, or its name."""
@@ -101,7 +101,7 @@ class TaskCandidate:
 
 
 class SkippedTask(NamedTuple):
-    """One episode that is no task."""
+    """Episode that is not a task."""
 
     home: str
     episode: int
@@ -122,7 +122,7 @@ class VerifiedTask(NamedTuple):
 
 
 class Verification(NamedTuple):
-    """The tasks of some homes, and the episodes that are none."""
+    """Tasks of some homes, and the episodes that are not tasks."""
 
     tasks: list[VerifiedTask]
     skipped: list[SkippedTask]

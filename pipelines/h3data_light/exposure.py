@@ -1,4 +1,4 @@
-"""Convert irradiance to displayed colours, by a curve that keeps dark corners readable and bright ones in range."""
+"""Conversion of irradiance to displayed colours, by a curve that keeps dark corners readable and bright ones in range."""
 
 from __future__ import annotations
 

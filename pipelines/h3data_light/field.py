@@ -1,4 +1,4 @@
-"""`LightField`: direction and amount of light anywhere in a home. It lights moving things, which cast shadows in it.
+"""Light field of a home: direction and amount of light anywhere. It lights moving things, which cast shadows in it.
 
 Irradiance along six directions (an ambient cube) on a grid of half a metre; between its points, all is interpolated. The
 difference of opposite sides is the light vector (Gershun 1936), the integral of radiance times direction: it points to where
@@ -52,7 +52,7 @@ class LightAt:
 
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """The grid. Arrays only, so that it is stored with the baked light (`store`)."""
+    """Light field as a grid of arrays, which are stored with the baked light (`store`)."""
 
     origin: NDArray[np.float64]
     """World position of the corner of the grid, shape [3] [m]."""

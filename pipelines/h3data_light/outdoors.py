@@ -1,4 +1,4 @@
-"""Views through window panes: sky, hills, trees and a lawn, painted on them with the horizon at eye height.
+"""Views through window panes: sky, hills, trees and a lawn, painted on the panes with the horizon at eye height.
 
 A horizon is at the height of the eye wherever one stands, so a picture on the pane looks right from anywhere in a room
 as far as up and down goes; sideways it moves with the window.

@@ -1,4 +1,4 @@
-"""Indirect light: probes on a grid gather what surfaces reflect, as irradiance along six directions (ambient cubes).
+"""Indirect light: probes on a grid collect the light that surfaces reflect, along six directions (ambient cubes).
 
 After "Dynamic Diffuse Global Illumination with Ray-Traced Irradiance Fields" (Majercik et al. 2019), with the visibility
 of each probe from each point: light does not leak through walls. Positions are in voxels.
@@ -26,7 +26,7 @@ _ROTATIONS = 8
 
 
 class Probes(NamedTuple):
-    """Probes, one per block."""
+    """Probes of indirect light, one per block of voxels."""
 
     reach: NDArray[np.uint64]
     """Bits of the windows and lamps that matter in and around a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""

@@ -1,4 +1,4 @@
-"""Meshes of a scene in one heap of triangles, refined where light is not linear along an edge; and their light, smoothed.
+"""Refinement of the meshes of a scene where light is not linear along an edge, and their smoothed light.
 
 Whether an edge is cut depends on nothing but its ends, so both triangles at an edge agree and no cracks appear.
 """
@@ -45,7 +45,7 @@ LightAt = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 @dataclass
 class Heap:
-    """Vertices of several meshes with what is interpolated along edges: rows ``x y z  nx ny nz  r g b  u v``, mesh frame."""
+    """Vertices of several meshes with the values interpolated along edges: rows ``x y z nx ny nz r g b u v``, mesh frame."""
 
     vertices: NDArray[np.float64]
     """Attributes of the vertices, shape [V, 11]."""

@@ -1,4 +1,4 @@
-"""Baked light on disk, by a key of all that it depends on, beside the other caches (`h3data.files.cache_folder`).
+"""Baked light on disk, by a key of all its inputs, beside the other caches (`h3data.files.cache_folder`).
 
 The key is a digest of the meshes, their poses and textures, the light sources, the flat light and `FORMAT`. Files get their
 names when they are whole, so processes may write at once or be killed. A broken file is made again.

@@ -1,4 +1,4 @@
-"""Language model beside a game that keeps time: a thread waits for its answers, and the game goes on meanwhile."""
+"""Language model in a live game: a thread waits for its answers while the game continues."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ RETRY_S = 5.0
 
 
 class Thinking(Exception):
-    """The answer to a request has not come yet."""
+    """Exception: the answer to a request has not arrived yet."""
 
 
 class PatientEndpoint:
-    """Endpoint that never waits: a request is asked for again until its answer is there."""
+    """Endpoint that never waits: a request is repeated until its answer has arrived."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         """Ask nothing yet."""
@@ -58,7 +58,7 @@ class PatientEndpoint:
 
 
 class BackgroundModel:
-    """Policy of a language model in a live game. While it thinks, what it does goes on; a robot with nothing to do stands."""
+    """Policy of a language model in a live game. While it thinks, its action continues; an idle robot stands."""
 
     def __init__(self, policy: Any) -> None:
         """Take over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""

@@ -27,7 +27,7 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """A chat endpoint is gone or late, or answers with something that means nothing, or a budget is used up."""
+    """A chat endpoint is gone or late, or its answers are meaningless, or a budget is used up."""
 
 
 class Address(NamedTuple):
@@ -121,7 +121,7 @@ class Reply(NamedTuple):
 
 
 class Endpoint(Protocol):
-    """Something that answers chats."""
+    """Protocol of an endpoint that answers chat requests."""
 
     def ask(self, body: bytes) -> Reply:
         """Return the answer to the body of a request.

@@ -88,7 +88,7 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
 
 
 class LanguageModelPolicy:
-    """Asks a language model for the next piece of work of an agent whenever the last one has ended."""
+    """Policy that asks a language model for an agent's next piece of work whenever the last one has ended."""
 
     is_remote = True
     """Constant True: a replay repeats the recorded decisions without asking the language model."""

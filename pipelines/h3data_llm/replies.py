@@ -1,4 +1,4 @@
-"""Recorded answers of language models: shown, and carried out again by today's prompts and parser."""
+"""Recorded answers of language models: listed, and carried out again with the present prompts and parser."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim_kinematic.tasks.resume import resume, task_of
 
 
 class RecordedModel(NamedTuple):
-    """A language model as a recording has it."""
+    """A language model, described in a recording."""
 
     policy: str
     agent: int
@@ -83,7 +83,7 @@ class RecordedEndpoint:
 
 
 class Replayed(NamedTuple):
-    """Comparison of recorded answers with what they mean today."""
+    """Comparison of recorded answers with their present meaning."""
 
     model: RecordedModel
     request: int

@@ -1,4 +1,4 @@
-"""Tools by which a language model says what its agent does next: their schemas, and calls in answers of the model."""
+"""Tools with which a language model chooses its agent's actions: their schemas, and calls in answers of the model."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Parameter(NamedTuple):
 
 
 class Tool(NamedTuple):
-    """Something that a language model can have its agent do."""
+    """Action that a language model can choose for its agent."""
 
     name: str
     about: str
@@ -41,7 +41,7 @@ class Tool(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A tool with its arguments, which have been checked."""
+    """A tool with checked arguments."""
 
     tool: str
     arguments: Mapping[str, Any]
@@ -51,7 +51,7 @@ class Call(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names that arguments may have."""
+    """Names that arguments of tools may have."""
 
     things: tuple[str, ...]
     places: tuple[str, ...] = ()

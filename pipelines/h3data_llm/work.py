@@ -1,4 +1,4 @@
-"""Work that a call of a tool means: skills, one after the other, and a sentence about how it ended.
+"""Execution of a tool's call: skills, one after the other, and a sentence about the result.
 
 Each piece is a generator: it yields an `Action`, is sent the view after it, and returns the sentence.
 """
@@ -31,7 +31,7 @@ LONG = 300
 
 
 class Worker:
-    """Carries out calls for one agent."""
+    """Executor of tool calls for one agent."""
 
     def __init__(self, text: WorldText, number: int, uses: list[tuple[str, bool]]) -> None:
         """Prepare for an episode.

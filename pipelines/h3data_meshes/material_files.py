@@ -1,4 +1,4 @@
-"""Options of images in MTL files, which trimesh takes for a part of the image's name."""
+"""Options of images in MTL files, which trimesh mistakes for a part of the image's name."""
 
 from __future__ import annotations
 

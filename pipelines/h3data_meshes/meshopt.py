@@ -1,4 +1,4 @@
-"""Decodes buffer views of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
+"""Decoding of buffer views of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
 
 Python has no maintained decoder (meshoptimizer's bindings are an alpha that needs a C++ compiler), and gltfpack's files are
 common. The bit streams are read by compiled kernels that check every byte they ask for; the filters are plain NumPy.

@@ -1,4 +1,4 @@
-"""BVH motion on our skeleton: joints by name, rest poses by rotation (h3data docs motion).
+"""BVH motion on the SMPL-X skeleton: joints by name, rest poses by rotation (h3data docs motion).
 
 A file's joint j has the world rotation G_j, ours H_j = G_j A_j, where A_j turns our T-pose into the file's pose without
 rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q A_j where no joint lies between.
@@ -78,7 +78,7 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table of which joint of a BVH file is which of ours, in TOML.
+    """Table of joint names of BVH files and the corresponding SMPL-X joints, in TOML.
 
     ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for right, Right and r.
     """

@@ -1,4 +1,4 @@
-"""Feet that stand still: where they touch the floor is found by height and speed, and legs are solved anew to keep them.
+"""Planting of feet: contact with the floor is detected by height and speed, and legs are solved anew.
 
 A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; the
 rotations of the foot stay, so its path follows: the lowest point rests while it is the lowest. Before and after, the

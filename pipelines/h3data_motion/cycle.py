@@ -1,4 +1,4 @@
-"""Clip that goes round from a free motion: the best loop is found, straightened, closed, and its feet planted."""
+"""Cyclic clips from a free motion: the best loop is found, straightened, closed, and its feet planted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion files of every kind that is read, and our own: one npz without pickle."""
+"""Motion files of all supported kinds, and our own: one npz without pickle."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ReadOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionReader:
-    """Reads motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
+    """Reader of motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
 
     fits: Callable[[bytes, Sequence[str]], bool]
     """Function that returns whether a file is of this kind, by its first 256 bytes and, of an npz, the names of its arrays."""

@@ -1,4 +1,4 @@
-"""Walks from imported motion: a captured cycle is taken apart into the parts of a gait, and scaled to any speed.
+"""Gaits from imported motion: a captured cycle is decomposed into the parts of a gait, and scaled to any speed.
 
 Pelvis, trunk, arms and head are as captured. Of the feet, which may slide or stand a little in the floor, only their curves
 are taken, as means of left and right: how they pitch, where they strike, and how they fly between. They roll on the floor
@@ -71,7 +71,7 @@ class Cycle:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionGaits(Gaits):
-    """The gaits of a body that walks as a captured cycle does, or runs so, if that is a run."""
+    """Gaits of a body that walks like a captured cycle, or runs like it, if it is a run."""
 
     cycle: Cycle
 

@@ -1,4 +1,4 @@
-"""Makes people of recordings that hold little of them: a walk for a path of roots, a built-in body for postures.
+"""Synthesis of people for recordings with little data: a gait for a path of roots, a built-in body for postures.
 
 A walk is clips played by distance and by turn.
 """

@@ -1,4 +1,4 @@
-"""Choice of the few seconds of a capture that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
+"""Choice of the few seconds of a capture that become a gait; `h3data.bodies.names` uses the group `h3data.walks`."""
 
 from __future__ import annotations
 

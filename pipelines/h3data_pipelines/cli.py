@@ -1,4 +1,4 @@
-"""The ``h3data`` command line. Exit codes: 0 done, 1 done but failures are listed, 2 refused (bad input), 130 interrupted."""
+"""Command line ``h3data``. Exit codes: 0 done, 1 done with failures, 2 refused (bad input), 130 interrupted."""
 
 from __future__ import annotations
 

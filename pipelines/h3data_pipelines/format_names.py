@@ -1,4 +1,4 @@
-"""File formats as commands name them."""
+"""Names of file formats in commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files for the outputs of a camera: videos to look at, lossless videos, or numbered pictures."""
+"""Files for the outputs of a camera: videos for viewing, lossless videos, or numbered pictures."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Target:
 
 
 class Sink(Protocol):
-    """Stores frames in two steps."""
+    """Storage of frames in two steps."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
         """Return the work that can run in any thread and any order; the result goes to `write`."""

@@ -1,4 +1,4 @@
-"""Parses the words after ``h3data``: the command, its options, and one line about what is wrong with them."""
+"""Parsing of the words after ``h3data``: the command, its options, and one line about errors in them."""
 
 from __future__ import annotations
 

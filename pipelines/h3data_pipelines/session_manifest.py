@@ -1,4 +1,4 @@
-"""The manifest of a study: a CSV table that says who took part in which session under which condition.
+"""Manifest of a study: a CSV table of participants, sessions and conditions.
 
 One row for each participant, condition, session or file; the columns of the first kind choose recordings, those of the
 second say something about them:
@@ -56,7 +56,7 @@ class ManifestRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SessionManifest:
-    """A manifest, and which of its rows have been used."""
+    """A manifest, and the rows that have been used."""
 
     path: Path
     rows: tuple[ManifestRow, ...]
@@ -84,7 +84,7 @@ class SessionManifest:
 
     @property
     def unused(self) -> tuple[int, ...]:
-        """Lines of the rows that fitted no recording."""
+        """Lines of the rows that matched no recording."""
         return tuple(row.line for row in self.rows if row.line not in self.used)
 
 

@@ -1,4 +1,4 @@
-"""Plays one skill of a robot that is alone in an episode of rearrangement: how it ends, and after how many steps."""
+"""Evaluation of one skill of a robot that is alone in an episode of rearrangement: its outcome and number of steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 
 class SkillScore(NamedTuple):
-    """The end of a skill."""
+    """Outcome of a skill."""
 
     outcome: str
     """Outcome of the skill: ``done`` or ``failed``."""

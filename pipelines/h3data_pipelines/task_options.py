@@ -1,4 +1,4 @@
-"""Marks of options that depend on the task: which tasks have an option, and what it means in each, as the tasks say it."""
+"""Markers of options that depend on the task: which tasks have an option, and its meaning in each."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class Part:
 
 
 class RayCaster:
-    """The triangles of a scene at one moment, ready for rays from anywhere.
+    """Triangles of a scene at one moment, for rays from anywhere.
 
     ``poses`` (from `Renderer.poses`) holds transforms and visibility, by default those the scene was built with;
     ``shown`` [I] overrides the visibility. Building takes about a second per million triangles.
@@ -267,7 +267,7 @@ def lidar(
 
 
 class LidarScanner:
-    """Distances of lidars in a scene of which most never moves."""
+    """Lidar scanner in a scene of which most never moves."""
 
     def __init__(self, scene: RenderScene, poses: Poses, still: NDArray[np.bool_]) -> None:
         """Prepare the instances [I] that are ``still``, once for all scans."""

@@ -34,7 +34,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the observations."""
+        """Names of the observations in the entry."""
         return (self.sensor,) if isinstance(self.sensor, str) else tuple(self.sensor)
 
 
@@ -109,7 +109,7 @@ def adapter_of(table: Any, what: str) -> Adapter:
 
 
 class Observer:
-    """Makes the observations that an adapter asks for of a robot."""
+    """Source of the observations of a robot that an adapter requests."""
 
     def __init__(self, adapter: Adapter, body: Body, *, batched: bool) -> None:
         """Look up cameras and sizes.

@@ -1,4 +1,4 @@
-"""A remote policy beside a loop that keeps time: a thread waits for the server, and the loop never does."""
+"""Remote policy in a real-time loop: a thread waits for the server, and the loop never does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Connections to policy servers: a request goes out, an answer comes back in time, or one sentence says why not.
+"""Connections to policy servers: a request, and an answer in time or one sentence with the reason.
 
 Neither kind has threads of its own: waiting costs nothing, and a process may be forked.
 """

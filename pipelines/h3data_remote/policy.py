@@ -1,4 +1,4 @@
-"""A robot's policy behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
+"""Policy of a robot behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 class RemotePolicy:
-    """Asks a server what a robot does, and carries out its chunks of actions one step at a time.
+    """Policy that asks a server for a robot's actions, and carries out its chunks one step at a time.
 
     Each episode has a connection of its own, by which servers know that a new one begins.
     """

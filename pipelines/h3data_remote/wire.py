@@ -1,4 +1,4 @@
-"""Messages of policy servers as bytes, and back: MessagePack with arrays in it, as openpi and GR00T write them.
+"""Messages of policy servers as bytes, and back: MessagePack with arrays in it, as in openpi and GR00T.
 
 Nothing that comes from the wire is executed: arrays are numbers of a known dtype, whose shape fits their bytes.
 """
@@ -24,7 +24,7 @@ _KINDS = "biuf"
 
 
 class PolicyServerError(H3DataError):
-    """A policy server is gone or late, or answers with something that is no action."""
+    """A policy server is gone or late, or its answer is not an action."""
 
 
 class Codec:

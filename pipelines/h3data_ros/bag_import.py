@@ -1,4 +1,4 @@
-"""Bags of ROS 2 as recordings: those of real robots with tracked people, and our own (needs ``h3data[ros]``)."""
+"""Bags of ROS 2 as recordings: bags of real robots with tracked people, and our own (needs ``h3data[ros]``)."""
 
 from __future__ import annotations
 

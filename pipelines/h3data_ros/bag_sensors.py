@@ -1,4 +1,4 @@
-"""Joint states and laser scans of a bag, in the rows of the recording that its tracks have become."""
+"""Joint states and laser scans of a bag, resampled to the rows of the recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses in the frames of ROS (REP 103: x forward, y left, z up) and in ours (+Y up, z right), converted exactly both ways.
+"""Exact conversion of poses between the frames of ROS (REP 103: x forward, y left, z up) and h3data (+Y up, z right).
 
 Both turn by 90 degrees about x, so numbers only change their places and signs, and no digit is lost.
 """

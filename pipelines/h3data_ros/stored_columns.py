@@ -1,4 +1,4 @@
-"""Records of a recording as JSON and its other columns as rows of numbers, for which standard messages have no place."""
+"""Records of a recording as JSON, and columns as rows of numbers, which standard messages cannot hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks of a robot and of people, from a bag or a file, as a recording that metrics, reports and pictures take."""
+"""Tracks of a robot and of people, from a bag or a file, as a recording for metrics, reports and pictures."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Track:
 
 @dataclass
 class Import:
-    """Facts about an import, told in ``episode.info``."""
+    """Facts about an import, as in ``episode.info``."""
 
     source: dict[str, Any]
     """Format and name of the file."""

@@ -36,7 +36,7 @@ _MARKER = re.compile(r"(?P<body>\S+) (?:Centroid_|- \d+ )(?P<axis>[XY])$")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackTable:
-    """Observations of a file, one a row, as the file gives them."""
+    """Observations in a file, one per row."""
 
     layout: str
     """Name of the kind of file."""

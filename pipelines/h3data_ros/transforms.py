@@ -1,4 +1,4 @@
-"""Trees of frames over time, as messages of tf2 tell them."""
+"""Trees of frames over time, from messages of tf2."""
 
 from __future__ import annotations
 

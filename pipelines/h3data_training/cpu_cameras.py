@@ -26,7 +26,7 @@ def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, 
 
 
 class CpuCameras:
-    """Stands in for `h3data_training.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
+    """CPU version of `h3data_training.torch.cameras.TensorCameras`, which renders world by world."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Starts the processes of a run that trains on several GPUs, and waits for them."""
+"""Processes of a run that trains on several GPUs: starting them, and waiting for them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The policy in PyTorch, with what only training needs: a critic, an auxiliary head, exploration noise.
+"""Policy in PyTorch, with the parts that only training needs: a critic, an auxiliary head, exploration noise.
 
 `sim_kinematic.policies.visual_policy` is the same policy in NumPy.
 """

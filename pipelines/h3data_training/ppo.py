@@ -34,7 +34,7 @@ class Worlds(Protocol):
 
     @property
     def shown(self) -> Tensor | None:
-        """Worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+        """True for worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
         ...
 
     @property

@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 
 
 class RunLength(Protocol):
-    """Settings that say how long a run is."""
+    """Settings of the length of a run."""
 
     @property
     def updates(self) -> int:

@@ -162,12 +162,12 @@ class Settings:
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Observations that are pictures, of which the actor may be shown one."""
+        """Names of observations that are pictures; the actor may have one of them."""
         return tuple(PICTURES)
 
     @property
     def vector_observations(self) -> tuple[str, ...]:
-        """Observations that the actor may be told beside a picture, or without one."""
+        """Names of observations that the actor may have besides a picture, or without one."""
         return OF_SOCIAL_NAV
 
     @property
@@ -177,7 +177,7 @@ class Settings:
 
     @property
     def first_action(self) -> tuple[float, ...]:
-        """The action that an actor explores around at first: standing still."""
+        """Action around which an actor explores at first: standing still."""
         return (0.0,) * BASE_ACTIONS
 
     @property

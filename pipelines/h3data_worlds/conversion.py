@@ -1,4 +1,4 @@
-"""Cache of converted scenes of other makers: a result is used until one of its files changes."""
+"""Cache of converted scenes of other formats: a result is used until one of its files changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of a robot guessed from its URDF: a first ``robot.toml`` to edit, and what is used without one.
+"""Settings of a robot guessed from its URDF: a first ``robot.toml`` to edit, and the defaults without one.
 
 Guesses are geometric where geometry decides (base, height, resting posture) and by name where it does not (hand, cameras).
 """

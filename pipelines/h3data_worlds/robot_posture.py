@@ -1,4 +1,4 @@
-"""A resting posture for an arm: folded over its base, so that the robot passes where its base passes."""
+"""Resting posture for an arm: folded over its base, so that the robot passes where its base passes."""
 
 from __future__ import annotations
 

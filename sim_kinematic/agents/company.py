@@ -1,4 +1,4 @@
-"""Protocol of the agents of one world as one of them sees them: `sim_kinematic.agents.giving_way.GivingWay`."""
+"""Protocol for one agent's access to the others of its world: `sim_kinematic.agents.giving_way.GivingWay`."""
 
 from __future__ import annotations
 

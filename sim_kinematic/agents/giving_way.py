@@ -1,4 +1,4 @@
-"""Mutual attention of the agents of one world: what they see of each other, who makes way for whom, who touches.
+"""Mutual attention of the agents of one world: observation of each other, giving way, and contact.
 
 They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
 """

@@ -151,7 +151,7 @@ class Transition(NamedTuple):
 
 
 class Person:
-    """A humanoid somewhere, with a pose, and the objects that it can take."""
+    """A humanoid with a place and a pose in the world, and the objects that it can take."""
 
     def __init__(
         self,

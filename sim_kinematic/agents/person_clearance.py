@@ -1,4 +1,4 @@
-"""Room to reach: whether a person who stands somewhere gets a hand to a point without the body in the walls or furniture.
+"""Room to reach: tests whether a standing person can bring a hand to a point with the body clear of walls and furniture.
 
 The collision capsules are posed along the hand's path (`Person.hand_path`) and asked of FCL against the static scene,
 thinner by `TOLERANCE_M`: what then touches is deeper than that.

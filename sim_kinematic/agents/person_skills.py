@@ -61,7 +61,7 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """Person with skills, who uses the right hand, or the left one where the right one cannot reach.
+    """Person with skills, who uses the right hand, or the left one if the right one cannot reach.
 
     The person gives way to the agents in ``others``. Alone with one robot it is empty, as people in Habitat do not give
     way to robots.
@@ -139,13 +139,13 @@ class PersonActor:
 
     @property
     def hand_pose(self) -> Array:
-        """Return the pose (pose7) in the world of the palm that holds something, else of the right palm."""
+        """Return the pose (pose7) in the world of the palm that holds an object, else of the right palm."""
         holding = tuple(self.person.held)
         return self.person.palm(holding[0] if holding else "right")
 
     @property
     def arm(self) -> NDArray:
-        """People have no joints that could be driven, [0]."""
+        """Positions of the arm's driven joints: none for people, [0]."""
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:

@@ -1,4 +1,4 @@
-"""People under control who sit down, sit and get up: motion of a `sim_kinematic.agents.person.Person` on a seat of a home."""
+"""Sitting down, sitting and getting up of people under control: motion of a `sim_kinematic.agents.person.Person` on a seat."""
 
 from __future__ import annotations
 

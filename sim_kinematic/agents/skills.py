@@ -1,4 +1,4 @@
-"""Skills that a task's agents can be given: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+"""Skills of a task's agents: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
 
 A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
 pre-conditions are checked; an infeasible one is a no-op that is reported.
@@ -110,7 +110,7 @@ INSIDE = "inside "
 
 
 class Destination(NamedTuple):
-    """`Action.command` of a ``wait`` of no steps that gives its object another goal, where the task allows it."""
+    """Command (`Action.command`) of a ``wait`` of no steps that assigns another goal to its object, if the task allows it."""
 
     place: str
     """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
@@ -132,7 +132,7 @@ LONGEST_MESSAGE = 500
 
 
 class Message(NamedTuple):
-    """`Action.command` of a ``wait`` of no steps that sends a message to other agents."""
+    """Command (`Action.command`) of a ``wait`` of no steps that sends a message to other agents."""
 
     text: str
     to: str = ""
@@ -140,7 +140,7 @@ class Message(NamedTuple):
 
     @property
     def action(self) -> Action:
-        """The choice by which an agent says this; it takes no time."""
+        """Choice by which an agent sends this message; it takes no time."""
         return Action("wait", -1, 0, self)
 
     def check(self, names: Sequence[str]) -> None:
@@ -184,7 +184,7 @@ def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) ->
 
 
 class LearnedSkill(Protocol):
-    """A skill that a network carries out instead of the one that knows all."""
+    """A skill that a network carries out instead of the scripted one, which knows the whole state."""
 
     def infeasible(self, actor: Any, action: Action) -> str:
         """Return the reason why the skill cannot start now, beyond what `Objects.why_not` says; empty if it can."""
@@ -197,7 +197,7 @@ class LearnedSkill(Protocol):
 
 @dataclass(eq=False)
 class Objects:
-    """The objects of the task, shared by all actors."""
+    """Objects of the task, shared by all actors."""
 
     names: tuple[str, ...]
     goals: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Places to stand at so that something is within reach, on the free floor around a point, with the heading to take there."""
+"""Places to stand from which something is within reach, on the free floor around a point, with the heading there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim_kinematic.motion.step import least_clearance
 
 @dataclass(frozen=True)
 class StandSpec:
-    """Places that are tried, and the room that agents need there."""
+    """Places that are tried as stands, and the room that agents need there."""
 
     bearings: int = 24
     """Number of directions from which a point is approached."""

@@ -26,7 +26,7 @@ from sim_kinematic.motion.stride import Strider
 
 @dataclass(frozen=True)
 class WaypointSpec:
-    """Constants of walks along way points."""
+    """Constants of walks along waypoints."""
 
     most_steps: int = 20_000
     """Number of steps that no walk to one goal takes: eleven minutes."""
@@ -50,7 +50,7 @@ WAYPOINTS = WaypointSpec()
 
 @dataclass
 class WaypointHuman:
-    """Person who walks along way points. ``goal`` and ``leg``, the current goal and way point, are its whole state."""
+    """Person who walks along waypoints. ``goal`` and ``leg``, the current goal and waypoint, are its whole state."""
 
     free: FreeSpace
     seed: int

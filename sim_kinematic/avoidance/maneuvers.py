@@ -1,4 +1,4 @@
-"""Maneuvers of a base in narrow places: back and forth, and around, where no single command leads on.
+"""Maneuvers of a base in narrow places: back and forth, and around, if no single command makes progress.
 
 A long robot gets stuck where the shortest path of a disc turns sharply: it would have to back up first. A search over poses
 (hybrid A*; Dolgov et al., 2008) over the robot's own commands finds how. It runs only when a base is stuck: it takes

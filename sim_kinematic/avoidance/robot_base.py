@@ -25,7 +25,7 @@ _RULES = BaseSpec()
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBase(BaseSpec):
-    """The base of a robot other than ``quad_arm``, whose hull `hull_of` cannot take for granted."""
+    """Base of a robot other than ``quad_arm``, with a hull of its own."""
 
     hull_offsets_m: tuple[float, ...]
     """Discs of the base's radius along x that cover the whole robot at rest."""

@@ -1,4 +1,4 @@
-"""Other agents from the view of one that moves, and rules by which people let each other pass."""
+"""Other agents as seen by one that moves, and rules by which people let each other pass."""
 
 from __future__ import annotations
 

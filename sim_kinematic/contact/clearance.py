@@ -37,7 +37,7 @@ HOMES_KEPT = 64
 
 
 class RobotHumanContact:
-    """Contact between a robot that keeps one posture and a person who is posed by motion clips.
+    """Contact between a robot in a fixed posture and a person who is posed by motion clips.
 
     The robot has the collision shapes of its links, the person those that ``person_contact`` names.
     """

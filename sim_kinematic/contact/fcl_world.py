@@ -62,7 +62,7 @@ class _Objects:
 
 
 class FclScene(_Objects):
-    """The static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
+    """Static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
 
     def __init__(self, scene: Scene) -> None:
         geometries, matrices, names, bounds = [], [], [], []

@@ -1,4 +1,4 @@
-"""Reactions of people to a robot that they see: the six of HuNavSim with their published numbers.
+"""Reactions of people to visible robots: the six of HuNavSim with their published numbers.
 
 Each is a distance, a time, and what the person does while the robot is in sight within that distance and the time since the
 first sight has not run out (Perez-Higueras et al. 2023, behaviour trees of hunav_sim). Otherwise the person walks on.
@@ -17,7 +17,7 @@ from sim_kinematic.motion.step import wrap_angle
 
 
 class Reaction(NamedTuple):
-    """Numbers of one reaction."""
+    """Parameters of one reaction."""
 
     within_m: float
     """Distance within which a robot is noticed [m]; with 0, people avoid robots only as they avoid anything else."""

@@ -1,4 +1,4 @@
-"""Words after the name of a model that describe a person of a crowd, as in ``orca+curious+walk1``."""
+"""Suffixes of a model's name that describe a person of a crowd, as in ``orca+curious+walk1``."""
 
 from __future__ import annotations
 

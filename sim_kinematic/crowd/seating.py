@@ -57,7 +57,7 @@ class SeatPlace(NamedTuple):
 
     @property
     def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of who sits or lies there, and the distance that others keep from it, [4]."""
+        """Place ``(x, z, heading)`` of the person who sits or lies there, and the distance that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
     def station(self) -> Station:

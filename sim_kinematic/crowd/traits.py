@@ -1,4 +1,4 @@
-"""Traits in which people of a crowd differ, and the constants that they share."""
+"""Traits of single people of a crowd, and the constants that all of them share."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ class CrowdSpec:
 
     @property
     def numbers(self) -> Array:
-        """The numbers that the kernels take, in the order of the fields."""
+        """Values for the kernels, in the order of the fields."""
         return np.array(astuple(self))
 
 
 class Traits(NamedTuple):
-    """Traits that set one person of a crowd apart."""
+    """Traits of one person of a crowd."""
 
     speed_mps: float
     """Free walking speed."""

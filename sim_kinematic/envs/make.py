@@ -1,4 +1,4 @@
-"""`h3data.make`: any task as a training environment."""
+"""Function `h3data.make`: any task as a training environment."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Bank(Protocol):
-    """Episodes in arrays, of which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
+    """Episodes in arrays, from which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
 
     def __len__(self) -> int: ...
 

@@ -48,7 +48,7 @@ OTHER = {"robot": "human", "human": "robot"}
 
 
 class Turns:
-    """World whose agents are asked in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
+    """World whose agents choose in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
 
     def __init__(self, play: WorldRollout, acting: Sequence[int]) -> None:
         self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
@@ -65,7 +65,7 @@ class Turns:
 
     @property
     def choosing(self) -> list[int]:
-        """Agents outside whose next action counts: the one that must choose, and those that will in the same step."""
+        """Agents outside whose next action counts: the one that must choose, and those that choose in the same step."""
         if self._loop.asked is None:
             return []
         team = self.play.team
@@ -211,7 +211,7 @@ class WorldStepper:
 
     @property
     def play(self) -> WorldRollout:
-        """The rollout of all worlds, or of the first one.
+        """Rollout of all worlds, or of the first one.
 
         Raises:
             InputError: No episode has begun.

@@ -1,4 +1,4 @@
-"""Locomotion of people: to way points (`walk_humans`) or by commands of speed and turn (`drive_people`).
+"""Locomotion of people: to waypoints (`walk_humans`) or by commands of speed and turn (`drive_people`).
 
 Both drive one walking cycle (`step_cycle`). It is played by distance, so planted feet stay put: `cycle_phase` says where in
 its clip a person is.

@@ -130,7 +130,7 @@ class StrideSpec:
 
     @property
     def limits(self) -> tuple[float, ...]:
-        """The numbers that the kernel takes."""
+        """Values for the kernel."""
         return (
             self.accel_mps2,
             self.decel_mps2,
@@ -146,7 +146,7 @@ class StrideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
-    """Motion of a way-point humanoid: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+    """Motion of a waypoint humanoid: it turns on the spot towards the next waypoint, then walks (paper section 3.1)."""
 
     speed_mps: float = 2.5
     turn_rad_s: float = 2.5

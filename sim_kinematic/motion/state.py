@@ -189,7 +189,7 @@ class WorldState(_Arrays):
 
     @cached_property
     def agents(self) -> tuple[AgentState, ...]:
-        """Robots, then people: an agent's index here is its number."""
+        """Agents: robots, then people. An agent's index here is its number."""
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:

@@ -277,12 +277,12 @@ class Strider:
 
     @property
     def ahead(self) -> Array:
-        """The way points [K, 2] that they have still to walk to."""
+        """Remaining waypoints [K, 2] of the path."""
         return self._path[min(self._next, len(self._path) - 1) :]
 
     @property
     def target(self) -> Array:
-        """The way point [2] that they are walking to."""
+        """Waypoint [2] that the person walks to."""
         return self._path[min(self._next, len(self._path) - 1)]
 
     @property

@@ -63,7 +63,7 @@ SOLO = "solo"
 
 
 class AssignedPolicy(NamedTuple):
-    """The policy of one agent."""
+    """Policy of one agent."""
 
     policy: Any
     name: str
@@ -80,12 +80,12 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def takes_commands(self) -> bool:
-        """Return whether commands from outside decide, given now or read from a recording that is simulated again."""
+        """Return whether commands from outside decide, live or from a recording that is simulated again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
     @property
     def takes_agent_view(self) -> bool:
-        """Return whether the policy is shown an `AgentView` in every task, also where others get a view of their own."""
+        """Return whether the policy observes an `AgentView` in every task, even if others have a view of their own."""
         return bool(getattr(self.policy, "takes_agent_view", False))
 
 

@@ -1,4 +1,4 @@
-"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is taken."""
+"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is chosen."""
 
 from __future__ import annotations
 

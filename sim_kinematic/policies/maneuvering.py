@@ -1,4 +1,4 @@
-"""A policy of single commands that backs out of where it is stuck."""
+"""Policy of single commands that leaves places where it is stuck."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEAR_M = 2.0
 
 
 class Maneuvering:
-    """Policy that computes velocities from the view, and backs out of places where the base is stuck.
+    """Policy that computes velocities from the view, and leaves places where the base is stuck.
 
     When the base has not moved for a moment, it makes a maneuver (`sim_kinematic.avoidance.maneuvers`) towards the
     person. A base 1.2 m long that is wedged between two walls needs several commands to get out, the first of which

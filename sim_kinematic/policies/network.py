@@ -1,4 +1,4 @@
-"""A small neural network in a file: named observations in, numbers out. What ``--policy weights:FILE`` reads.
+"""Small neural network in a file, with named observations as input, for ``--policy weights:FILE``.
 
 The file is an npz of plain arrays (`save_network` lists them): nothing in it is executed when it is read, no pickle, no
 code. PyTorch is needed for none of it; `from_torch` takes over what was trained there.
@@ -69,7 +69,7 @@ class Network:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the network's behaviour."""
         found = sha256(repr((self.task, self.observations, self.activation)).encode())
         for array in (*self.weights, *self.biases, self.mean, self.scale):
             found.update(repr(array.shape).encode() + array.tobytes())

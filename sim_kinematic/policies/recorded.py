@@ -1,4 +1,4 @@
-"""Policies that repeat recorded choices up to a step, and then hand over to another policy."""
+"""Policies that repeat recorded choices up to a step, and then pass control to another policy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def is_remote(policy: Any) -> bool:
 
 
 class NotRecorded(InputError):
-    """The episode takes another course than the recording: it needs a command where none was recorded."""
+    """The episode deviates from the recording: it needs a command where none was recorded."""
 
 
 class RecordedCommand(NamedTuple):
@@ -53,7 +53,7 @@ class RecordedCommand(NamedTuple):
 
 
 class RecordedVelocities:
-    """Policy that repeats recorded base velocities up to a step, then hands over to another policy.
+    """Policy that repeats recorded base velocities up to a step, then passes control to another policy.
 
     The other policy, if there is one, is asked in every step from ``since`` on, and its answers are dropped until ``until``. So
     it has the memory, and the action that it holds between decisions, which it had in the recording. A policy that is
@@ -129,7 +129,7 @@ class RecordedVelocities:
 
 
 class RecordedCommands:
-    """Policy that repeats commands from outside in a task with skills, then hands over to another policy."""
+    """Policy that repeats commands from outside in a task with skills, then passes control to another policy."""
 
     takes_commands = True
 
@@ -162,7 +162,7 @@ class RecordedCommands:
 
 
 class RecordedTrack:
-    """Person who follows a recorded track, whatever the others do."""
+    """Person who follows a recorded track, whatever other agents do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
         """Read the recorded track of a person.

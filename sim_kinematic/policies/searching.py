@@ -1,4 +1,4 @@
-"""Search for objects in a home: choice of the next place to look at, and planners that search while they have nothing to do."""
+"""Search for objects in a home: choice of the next place to check, and planners that search while they are idle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim_kinematic.sensing.sight import LOOK_STEPS
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """Costs and distances by which places are searched."""
+    """Costs and distances of the search for places."""
 
     group_m: float = 1.5
     """Distance below which places count as visible together from one of them [m]."""
@@ -38,7 +38,7 @@ SEARCHING = SearchSpec()
 
 @dataclass
 class Search:
-    """Search of one agent, which looks at one place after the other, first where much can be seen soon."""
+    """Search of one agent, which checks one place after the other, first where much becomes visible soon."""
 
     _place: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
@@ -108,7 +108,7 @@ def is_search(action: Action) -> bool:
 
 @dataclass
 class Seeking:
-    """Planner that searches while it has nothing to do and does not know where all objects are."""
+    """Planner that searches while it is idle and does not know where all objects are."""
 
     interrupts_every = LOOK_STEPS
     """Number of steps between calls of `interrupts`, the interval at which agents look around."""

@@ -42,7 +42,7 @@ BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The text in a policy file."""
+    """Text in a policy file."""
 
     task: str
     robot: str
@@ -92,7 +92,7 @@ class CardedNetwork:
 
     @property
     def sees(self) -> str | None:
-        """Return which of `PICTURES` the policy observes."""
+        """Return which pictures of `PICTURES` the policy observes."""
         return picture_in(self.card.observations)
 
     def start(self) -> Array:
@@ -168,7 +168,7 @@ class VisualPolicy(CardedNetwork):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the policy's behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
         if card.network != "cnn_gru":

@@ -56,7 +56,7 @@ class _Drawn:
 
 
 class StateRenderer:
-    """Renderer of a home with robots, people and objects in W worlds that differ in what moves. Each thread needs its own."""
+    """Renderer of a home with robots, people and objects in W worlds that differ in moving things. One per thread."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Memories of what agents in one home have seen: things, and places where things may lie.
+"""Memories of the things that agents in one home have seen, and of places where things may lie.
 
 Walls and furniture are known from the start. A thing is known once a ray from an agent's eyes meets it, and stays known where
 it was last seen, until that place is seen without it. A place has been looked at once a ray meets its middle; one that is shut
@@ -64,7 +64,7 @@ class Boxes(NamedTuple):
 
 
 class Sight:
-    """The memories of all agents of one world."""
+    """Memories of all agents of one world."""
 
     def __init__(self, scene: Scene, bodies: Sequence[Body], things: int, floor_y: float) -> None:
         joints, boxes = joints_of(scene), []

@@ -149,7 +149,7 @@ class Context(Protocol):
 
 
 class SensorContext(NamedTuple):
-    """Inputs of sensors: one agent of each world now, for worlds whose agents drive and walk, on the CPU and on devices.
+    """Input of sensors: one agent of each world, for worlds whose agents drive and walk, on the CPU and on devices.
 
     On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`.
     """
@@ -216,7 +216,7 @@ class SensorContext(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """An observation that is no picture."""
+    """An observation that is not a picture."""
 
     of: Callable[[Any], Any]
     """Function that returns values [..., n] from a `Context`, or [W, n] from a `SensorContext` of worlds whose agents

@@ -1,4 +1,4 @@
-"""Form of an episode outside the simulator: its record in files, its entries in a recording, its identity and instruction.
+"""Codecs of episodes outside the simulator: records in files, entries in recordings, identity and instruction.
 
 A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
 `TaskCodec` is that of all tasks whose episodes are an `Episode` with nothing of their own.

@@ -1,4 +1,4 @@
-"""Control of a task's agents: the form of a choice, what carries it out, and how it is recorded and repeated.
+"""Control of a task's agents: the form of a choice, its execution, its recording and its repetition.
 
 A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
 `sim_kinematic.tasks.skills.control.SkillControl` they have skills: they take things, put them down, open and close.
@@ -160,7 +160,7 @@ class Control:
 
 
 class VelocityControl(Control):
-    """Control of agents that drive and walk by velocities, way points or places."""
+    """Control of agents that drive and walk by velocities, waypoints or places."""
 
     def team(self, play: Any) -> Team:
         """Return the agents of W worlds, which are moved together."""

@@ -189,7 +189,7 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
 
 
 class AddedTime(NamedTuple):
-    """Time that robots cost one person."""
+    """Time by which robots delay one person."""
 
     person: str
     goals: int

@@ -28,7 +28,7 @@ from sim_kinematic.world import Command
 
 
 class DecisionLoop:
-    """Loop over the turns of an episode, which stops where an agent must decide and at the end of each step."""
+    """Loop over the turns of an episode, which pauses when an agent must decide and at the end of each step."""
 
     def __init__(self, play: WorldRollout) -> None:
         self._play, self._left = play, play.spec.max_steps

@@ -26,7 +26,7 @@ Scenes = str | os.PathLike[str] | Scene | Sequence[str | os.PathLike[str] | Scen
 
 
 class Home:
-    """A scene to play in, with its free floor."""
+    """Scene for episodes, with its free floor."""
 
     def __init__(self, source: Scene | SceneSource, radius_m: float, height_m: float) -> None:
         self.source, self._size = source, (radius_m, height_m)

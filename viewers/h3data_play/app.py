@@ -1,4 +1,4 @@
-"""Applications to play: a task with its rules, words, markers. An app of your own is a subclass, found as ``module:Class``."""
+"""Applications to play: a task with its rules, words and markers. Your own app is a subclass, given as ``module:Class``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Hud:
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """Place to which an object has to go; goal number k is that of object number k."""
+    """Goal of an object; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
     """Goal position of the object's origin [m]."""
@@ -48,7 +48,7 @@ class Goal:
 
 
 class Phrase(NamedTuple):
-    """A message that a player sends by one press."""
+    """A message that a player sends by pressing a button."""
 
     label: str
     """Words of the button on the page."""
@@ -67,7 +67,7 @@ class Spot(NamedTuple):
 
 
 class App:
-    """Application for people who play an episode of a task. The defaults suit any task; a subclass changes what is different.
+    """Application for people who play an episode of a task. The defaults suit any task; a subclass overrides what differs.
 
     An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
     happened, `hud` for what each player reads.

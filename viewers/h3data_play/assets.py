@@ -1,4 +1,4 @@
-"""Files that a client needs once for each home and cast.
+"""Files that a client needs once for each home and set of agents.
 
 They are a GLB of everything, a manifest that says how states move its parts, and the distance grid on which the client
 predicts the player's own walk.

@@ -36,11 +36,11 @@ async def receive(reader: asyncio.StreamReader) -> Letter:
 
 
 class Closed(Exception):
-    """The other side is gone."""
+    """The other side has closed the channel."""
 
 
 class Channel:
-    """The worker's end: waits for letters at most as long as it has time."""
+    """Worker's end of the channel: it waits for letters no longer than its time allows."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket, self._buffer = sock, bytearray()

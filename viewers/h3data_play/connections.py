@@ -1,4 +1,4 @@
-"""Sockets of the front and what its requests have in common."""
+"""Sockets of the front, and the common parts of its requests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drivers, which turn the wishes of players into commands of the simulator, one for each agent that somebody plays.
+"""Drivers, which convert the wishes of players to commands of the simulator, one for each played agent.
 
 A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
 goes on after a crash.
@@ -62,7 +62,7 @@ WAVES = 3
 
 
 class Driver:
-    """Walks: by keys, or to a point of the floor. Enough for tasks without skills; subclasses add theirs."""
+    """Driver of an agent that walks by keys, or to a point of the floor: enough for tasks without skills."""
 
     def __init__(self, session: Session, number: int) -> None:
         self.session, self.number = session, number
@@ -152,7 +152,7 @@ class Driver:
     # --- the body -----------------------------------------------------------------------------------------------------
     @property
     def place(self) -> tuple[Array, float]:
-        """Returns the place of the agent: (x, z), heading."""
+        """Return the place of the agent: (x, z), heading."""
         recorder = self.session.recorder
         if recorder.latest is None:
             start = self.session.episode.starts[self.number]
@@ -329,12 +329,12 @@ class SkillDriver(Driver):
 
     @property
     def runs(self) -> bool:
-        """Returns whether a skill is running."""
+        """Return whether a skill is running."""
         return self.session.task.control.is_busy(self.session.play, self.number)
 
     @property
     def busy(self) -> bool:
-        """Returns whether a skill or walk is running or queued."""
+        """Return whether a skill or walk is running or queued."""
         return self.runs or super().busy or bool(self.queue)
 
     @property
@@ -344,12 +344,12 @@ class SkillDriver(Driver):
 
     @property
     def objects(self) -> Any:
-        """`sim_kinematic.agents.skills.Objects` of the play."""
+        """Objects of the play, a `sim_kinematic.agents.skills.Objects`."""
         return self.session.play.team.objects  # type: ignore[attr-defined]
 
 
 class PersonDriver(SkillDriver):
-    """A person with hands and a head."""
+    """Driver of a person with hands and a head."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -431,17 +431,17 @@ class PersonDriver(SkillDriver):
 
     @property
     def busy(self) -> bool:
-        """Returns whether a skill or walk is running or queued, or the person sits or gets up."""
+        """Return whether a skill or walk is running or queued, or the person sits or gets up."""
         return super().busy or self.body.seat is not None
 
     @property
     def body(self) -> DrivenPerson:
-        """The person in the play."""
+        """Person in the play."""
         return self.session.play.team.actors[self.number]  # type: ignore[attr-defined]
 
 
 class RobotDriver(SkillDriver):
-    """A robot with an arm, which its skills move."""
+    """Driver of a robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
         """Return the command that says the next message; it ends the running skill, which begins again after it."""

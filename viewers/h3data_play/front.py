@@ -1,4 +1,4 @@
-"""The server that browsers talk to: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
+"""Server for browsers: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
 
 from __future__ import annotations
 

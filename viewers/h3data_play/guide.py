@@ -1,4 +1,4 @@
-"""Walking to a point of the floor by commands of speed and turn, as a player would steer."""
+"""Guided walking to a point of the floor by commands of speed and turn, as a player would steer."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def disk_fault(fault: BaseException | None) -> str:
 
 
 class PatientSink:
-    """Sink that records a live game. Data that the disk does not take waits in the writer, and the game waits for it."""
+    """Sink that records a live game. Data that the disk does not accept waits in the writer, and the game waits for it."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
@@ -288,7 +288,7 @@ class LiveGame:
     # --- the disk -----------------------------------------------------------------------------------------------------
     @property
     def fault(self) -> str:
-        """Reason why the disk does not take what has been played; empty while it does."""
+        """Reason why the disk does not accept the game's data; empty while it does."""
         return "" if self.sink is None else self.sink.fault
 
     def retry(self) -> None:

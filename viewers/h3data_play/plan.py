@@ -39,7 +39,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def partner_here(self) -> str | None:
-        """Policy `partner`, with a file of weights by its path on this machine."""
+        """Policy `partner`, with the path of a file of weights on this machine."""
         from sim_kinematic.policies.learned import PREFIX as WEIGHTS  # the server's process imports no simulator
 
         if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):

@@ -69,7 +69,7 @@ def token_digest(token: str) -> str:
 
 @dataclass
 class SeatLog:
-    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that the disk did not take."""
+    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that is not on the disk."""
 
     folder: Path
     name: str = JOURNAL

@@ -1,4 +1,4 @@
-"""The web server as a process, started by ``h3data play``.
+"""Web server as a process, started by ``h3data play``.
 
 ``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on stdout.
 """
@@ -53,7 +53,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
-    """Options of a server of one session: what is played, at how many tables at once."""
+    """Options of a server of one session: the plan, and the number of simultaneous tables."""
 
     plan: PlayPlan
     tables: int = 1

@@ -73,7 +73,7 @@ def pack_pong(client_ms: float, server_ms: float) -> bytes:
 
 @dataclass(frozen=True)
 class PackedStep:
-    """A step without the heads."""
+    """Message of a step without the part that differs between players."""
 
     agents: int
     agent_bytes: bytes
@@ -95,7 +95,7 @@ class PackedStep:
 
 @dataclass
 class StatePacker:
-    """Packs the recorded columns of one step after the other."""
+    """Packer of the recorded columns, one step after the other."""
 
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]

@@ -127,7 +127,7 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Return whether all players are there and the disk takes what they do."""
+        """Return whether all players are connected and the disk accepts the data."""
         ended = self.over or bool(self.game.ended)
         return not ended and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
@@ -138,7 +138,7 @@ class Running:
 
 
 class Worker:
-    """Games of one process. A fault in one ends only that one."""
+    """Games of one process. An error in one ends only that one."""
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel

@@ -1,4 +1,4 @@
-"""Worker processes as the front sees them: started, fed, replaced when they die."""
+"""Worker processes of the front: started, supplied, and replaced when they die."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class WorkerProcess:
 
     @property
     def with_one_more(self) -> float:
-        """Share of a core that its games would take with a further one; those that have just begun count as the others."""
+        """Share of a core that its games would take with a further one; new games count as average ones."""
         each = self.busy / self.measured if self.measured else EXPECTED_SHARE
         return self.busy + each * (max(len(self.games) - self.measured - self.left, 0) + 1)
 

@@ -1,4 +1,4 @@
-"""Content of a study file, as records that the command and the server share."""
+"""Records of a study file, which the command and the server share."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Role = Literal["person", "robot"]
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fields that are misspelled in a file are errors."""
+    """Base of records whose misspelled fields in a file are errors."""
 
 
 class Condition(Record, frozen=True):
@@ -62,7 +62,7 @@ class Consent(Record, frozen=True):
 
 
 class Device(Record, frozen=True):
-    """Computers and connections that are good enough."""
+    """Requirements for the computers and connections of participants."""
 
     max_ping_ms: Annotated[float, Meta(gt=0)] = 250.0
     """Largest median round trip [ms]."""
@@ -75,7 +75,7 @@ class Device(Record, frozen=True):
 
 
 class Tutorial(Record, frozen=True):
-    """The practice that has to be passed before anything counts."""
+    """Practice that participants must pass before episodes count."""
 
     app: str = "tutorial"
     rules: dict[str, Any] = {}
@@ -86,7 +86,7 @@ class Tutorial(Record, frozen=True):
 
 
 class DropOut(Record, frozen=True):
-    """Rule by which a participant counts as gone and their place is given to somebody else."""
+    """Rule by which a participant counts as gone and their place is given to another."""
 
     idle_minutes: Minutes = 20.0
     """Time without a key, click or answer after which a participant has dropped out [minutes]; pauses count."""
@@ -115,7 +115,7 @@ class Recruiting(Record, frozen=True):
 
 
 class Exclude(Record, frozen=True):
-    """A rule, written before anybody takes part, by which the report leaves out participants or episodes."""
+    """Rule, fixed before the study begins, by which the report leaves out participants or episodes."""
 
     name: Name
     what: str
@@ -158,7 +158,7 @@ class Item(Record, frozen=True):
 
     @property
     def right_answers(self) -> list[float] | None:
-        """All answers that are right; None: the item is no check."""
+        """All right answers; None: the item is not a check."""
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
@@ -188,7 +188,7 @@ class Form(Record, frozen=True):
 
     @property
     def has_checks(self) -> bool:
-        """Returns whether some answers are right and others wrong."""
+        """Return whether some answers are right and others wrong."""
         return any(item.right is not None for item in self.items)
 
 
@@ -262,7 +262,7 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """A study ready to be served: made by the command, read by the server and by workers."""
+    """A study ready for a server: made by the command, read by the server and by workers."""
 
     design: Design
     out: str

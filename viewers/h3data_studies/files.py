@@ -1,4 +1,4 @@
-"""Reading a study file, checking it, and planning who plays what. This runs in the command, not in the server."""
+"""Reading and checking of a study file, and assignment of episodes. This runs in the command, not in the server."""
 
 from __future__ import annotations
 

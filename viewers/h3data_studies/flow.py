@@ -1,4 +1,4 @@
-"""The order of what a participant does, as a state machine without any input or output.
+"""Order of a participant's stages, as a state machine without input or output.
 
 What has happened is a list of rows (stage, data); the state follows from them, so that whatever is on the disk after a crash is
 a state, too.
@@ -26,7 +26,7 @@ PASSED = "success"
 
 
 class NotNow(Exception):
-    """Error for a participant who is elsewhere in the study or has sent something invalid; the text is for them."""
+    """Error for a participant who is at another stage or has sent something invalid; the text is for them."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +94,12 @@ class Progress:
 
     @property
     def done(self) -> int:
-        """Number of stages that are over."""
+        """Number of completed stages."""
         return sum(stage.key in self.rows for stage in self.stages)
 
     @property
     def attempts(self) -> int:
-        """Episodes of the tutorial that are over."""
+        """Number of completed episodes of the tutorial."""
         return sum(key.startswith("tutorial/") for key in self.rows)
 
     def is_shared(self, row: str) -> bool:
@@ -177,7 +177,7 @@ class Progress:
 
     @property
     def tries(self) -> int:
-        """Returns how often the next form was answered without passing its checks."""
+        """Return how often the next form was answered without passing its checks."""
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
@@ -192,7 +192,7 @@ class Progress:
 
     @property
     def form(self) -> Form:
-        """The form that is next."""
+        """Form that is next."""
         stage = self.stage
         return self.form_of(stage)[0]
 

@@ -1,4 +1,4 @@
-"""Built-in questionnaires, and what an answer must be.
+"""Built-in questionnaires, and the checks of answers.
 
 NASA-TLX: S. G. Hart and L. E. Staveland, "Development of NASA-TLX", 1988, without the pairwise weighting (raw TLX: S. G. Hart,
 "NASA-Task Load Index (NASA-TLX); 20 Years Later", 2006): six scales from 0 to 100 in steps of 5. Fluency: the subjective scales

@@ -1,4 +1,4 @@
-"""The server of a study: the pages before, between and after the episodes, and which episode each participant plays."""
+"""Server of a study: the pages before, between and after the episodes, and the assignment of episodes to participants."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class DeviceReport(msgspec.Struct, frozen=True):
-    """Body of ``api/study/device``: what kind of computer it is, not which one."""
+    """Body of ``api/study/device``: the kind of computer, not its identity."""
 
     webgl: bool
     ping_ms: Measure
@@ -119,7 +119,7 @@ class Episode(msgspec.Struct, frozen=True):
 
 
 class StudyServer(WebServer):
-    """All participants of one study."""
+    """Server of all participants of one study."""
 
     journal: StudyStore
     seat_s = 30 * 86400

@@ -1,4 +1,4 @@
-"""Orders of episodes: which one a worker plays for a stage, and where its recording lies."""
+"""Orders of episodes: the episode that a worker plays for a stage, and the file of its recording."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ BOT = "bot"
 
 @dataclass(frozen=True)
 class PlayedEpisode:
-    """An episode that is over."""
+    """An episode that has ended."""
 
     participant: str
     condition: str

@@ -1,4 +1,4 @@
-"""Pseudonyms of a study's participants under a secret that lies beside the study's folder, not in it."""
+"""Pseudonyms of a study's participants under a secret that is beside the study's folder, not in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
+"""Server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Participant:
 
     @property
     def is_active(self) -> bool:
-        """Returns whether the participant is taking part, and has neither finished nor left."""
+        """Return whether the participant is taking part, and has neither finished nor left."""
         return self.progress.status == ACTIVE
 
 

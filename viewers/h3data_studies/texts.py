@@ -33,7 +33,7 @@ class FormWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Texts that exist in a language."""
+    """Texts in one language."""
 
     pages: dict[str, str]
     """Words of a study's pages, by name."""

@@ -1,4 +1,4 @@
-"""Strips: the moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
+"""Strips: moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SAID = {"pick": "picks", "place": "places"}
 
 @dataclass(frozen=True, kw_only=True)
 class KeyFrame:
-    """Event that a strip shows."""
+    """Event in a strip."""
 
     step: int
     text: str

@@ -82,7 +82,7 @@ class Clip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gaits:
-    """Walking gait of one body: its legs, and what was fitted to it (see `h3data.bodies.people.gait.PARAMETERS`)."""
+    """Walking gait of one body: its legs, and the parameters fitted to it (`h3data.bodies.people.gait.PARAMETERS`)."""
 
     legs: Legs
     height_m: float
@@ -246,7 +246,7 @@ class ClipTable:
 
     @cached_property
     def arrays(self) -> ClipArrays:
-        """Arrays that `h3data.bodies.people.kernels.clips` takes."""
+        """Arrays for the kernels in `h3data.bodies.people.kernels.clips`."""
         from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(

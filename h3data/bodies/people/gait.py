@@ -1,4 +1,4 @@
-"""Foot-planted walking, jogging and turning: the feet are given, the legs follow by closed-form inverse kinematics.
+"""Foot-planted walking, jogging and turning: from given feet, the legs follow by closed-form inverse kinematics.
 
 During stance a foot pivots about its heel (toes up) or its ball (heel up, toes bent flat); the pivot rests on the floor,
 so nothing slides by construction. In swing the ankle flies along a Hermite curve with bumps. What is fitted per body and

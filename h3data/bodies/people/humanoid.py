@@ -64,7 +64,7 @@ class SkinnedMesh:
 
     @cached_property
     def skin(self) -> Skin:
-        """The sparse skinning operators, built at first use (20 ms for the full mesh)."""
+        """Sparse skinning operators, built at first use (20 ms for the full mesh)."""
         mesh = self.mesh
         assert mesh.normals is not None
         return build_skin(mesh.vertices, mesh.normals, self.joints, self.weights, len(JOINT_NAMES))
@@ -85,7 +85,7 @@ class BodyCapsule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Humanoid:
-    """A person that can be posed, drawn and bumped into. Immutable: share it freely."""
+    """A person that can be posed, rendered and tested for collisions. Immutable: share it freely."""
 
     name: str
     height_m: float
@@ -116,17 +116,17 @@ class Humanoid:
 
     @property
     def mesh(self) -> Mesh:
-        """The full mesh in the rest pose, body frame."""
+        """Full mesh in the rest pose, body frame."""
         return self.full.mesh
 
     @property
     def lod_mesh(self) -> Mesh:
-        """The light mesh in the rest pose, body frame."""
+        """Mesh of few vertices in the rest pose, body frame."""
         return self.lod.mesh
 
     @cached_property
     def clips(self) -> tuple[Clip, ...]:
-        """Standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
+        """Clips: standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
         return make_clips(self.gaits)
 
     @property

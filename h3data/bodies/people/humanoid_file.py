@@ -1,4 +1,4 @@
-"""Reading humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
+"""Reading of humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
 
 The built-in bodies share a base (``common.npz``) and a wardrobe (``wardrobe.npz``: skin, clothes and hair as patches over the
 base); a body's own file holds the places of its base as differences from the mean, its skeleton, look, collision capsules and

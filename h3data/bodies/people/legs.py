@@ -1,4 +1,4 @@
-"""Legs: where the feet are is given, hips and knees follow by closed-form inverse kinematics.
+"""Legs of people: from the places of the feet, hips and knees follow by closed-form inverse kinematics.
 
 In the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
 """
@@ -26,7 +26,7 @@ LEG_MAX = 0.9985
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Legs:
-    """Measures of one body. Rows: left, right."""
+    """Measures of one body's legs. Rows: left, right."""
 
     hips: Array
     """Positions of the hip joints relative to the pelvis joint, shape [2, 3] [m]."""
@@ -40,7 +40,7 @@ class Legs:
 
     @cached_property
     def measures(self) -> LegMeasures:
-        """Measures that `h3data.bodies.people.kernels.legs` takes."""
+        """Measures as an array, for the kernels in `h3data.bodies.people.kernels.legs`."""
         # at first use, so that bodies can be read without compiling anything
         from h3data.bodies.people.kernels.legs import LegMeasures
 
@@ -68,7 +68,7 @@ class Legs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posture:
-    """Input from which a pose is solved: everything but the legs, and the places of the feet."""
+    """Input from which a pose is solved: everything except the legs, and the places of the feet."""
 
     quats: Array
     """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""
@@ -87,7 +87,7 @@ def rotation(axis: Array, angle_deg: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedLegs:
-    """Angles of solved legs, which the fit evaluates."""
+    """Angles of solved legs, which the fit of a gait evaluates."""
 
     quats: Array
     """All local rotations, shape [T, 55, 4]."""

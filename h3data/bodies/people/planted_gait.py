@@ -1,4 +1,4 @@
-"""Walking with planted feet along any track of the root: `h3data.bodies.people.kernels.planted` with a body's own gaits.
+"""Walking with planted feet along any track of the root, by `h3data.bodies.people.kernels.planted` with a body's own gaits.
 
 `planted_states` goes through a track once; any of its moments can then be posed alone (`pose_planted`). A track is all that
 is needed, so recordings of people hold no more than their roots.
@@ -139,7 +139,7 @@ def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT
 
 
 class PlantedWalk:
-    """The feet of a person whose root is decided step by step. They stand at first."""
+    """Planted feet of a person whose root moves step by step. They stand at first."""
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """``base`` [7] is the agent root."""

@@ -1,4 +1,4 @@
-"""Reaching: where a person must be, and how they stand, so that a hand is at a point.
+"""Reaching: the place and the posture of a person in which a hand is at a point.
 
 One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and, mirrored,
 both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where they are. Every
@@ -52,7 +52,7 @@ of the palm."""
 
 
 class BaseMotion(NamedTuple):
-    """A move of the agent root, in the frame that it has before."""
+    """Motion of the agent root, in the frame that it has before."""
 
     forward_m: float
     right_m: float
@@ -202,7 +202,7 @@ def reach_table() -> Table:
 
 
 class ReachSolver:
-    """Reaches with one hand of one body."""
+    """Solver of postures in which one hand of one body reaches points."""
 
     tried = 24
     """Number of the nearest table points among which the nearest valid one is searched."""
@@ -247,7 +247,7 @@ class ReachSolver:
 
     @property
     def valid_points(self) -> Array:
-        """The table's points that this body reaches, shape [N, 3] [m]."""
+        """Points of the table that this body reaches, shape [N, 3] [m]."""
         if self._valid is None:
             points = self.table.points * self._mirror * self.body.scale
             # back to the agent root frame

@@ -1,4 +1,4 @@
-"""Sitting down on a seat of any height, by what touches what: the soles stay on the floor, the seat carries the body.
+"""Sitting down on a seat of any height: the soles stay on the floor, and the seat carries the body.
 
 The pose on the seat follows from contact alone. The shanks stand, the skin of the hips touches the seat, and the hands lie on
 the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path between standing and
@@ -122,7 +122,7 @@ class Sitting:
 
     @cached_property
     def table(self) -> tuple[Array, Array]:
-        """`pose` at `TABLE` equal shares of the path."""
+        """Poses at `TABLE` equal shares of the path from standing (0) to sitting (1)."""
         return self.pose(np.linspace(0, 1, TABLE))
 
     @cached_property
@@ -162,7 +162,7 @@ class Sitting:
 
     @cached_property
     def lying_size(self) -> Array:
-        """Distances from the hips of somebody who lies to head, toes and sides [3] [m]."""
+        """Distances from the hips of a lying person to head, toes and sides [3] [m]."""
         skin = self.body.skin(self.body.joint_matrices(IDENTITY_POSE, *(part[-1:] for part in self.lying)))[0]
         ahead = skin[:, 0] - self.lying[1][-1, 0]
         return np.array([-ahead.min(), ahead.max(), np.abs(skin[:, 2]).max()])

@@ -39,7 +39,7 @@ class Skin:
 
     @cached_property
     def frame(self) -> FrameOperator:
-        """``points`` for a single frame: its rows in groups with the same columns, built at first use."""
+        """Operator ``points`` for a single frame: its rows in groups with the same columns, built at first use."""
         groups: dict[bytes, list[int]] = {}
         starts: Any = self.points.indptr
         # the bytes of a row's columns as a key: vertices that move with the same joints have equal ones

@@ -1,4 +1,4 @@
-"""Legs and soles of people: where their joints are, and the points of their feet that touch the floor."""
+"""Legs and soles of people: positions of their joints, and points of their feet that touch the floor."""
 
 from __future__ import annotations
 

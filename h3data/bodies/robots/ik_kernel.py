@@ -1,4 +1,4 @@
-"""The compiled search behind `h3data.bodies.robots.ik`: one robot arm, many targets."""
+"""Compiled search behind `h3data.bodies.robots.ik`: one robot arm, many targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots: links, joints, looks, shapes and cameras, and the poses of all of them (`h3data.bodies.load_robot` makes one).
+"""Robots: links, joints, appearance, shapes and cameras, and their poses (`h3data.bodies.load_robot` makes one).
 
 Link frames are URDF's. The agent root frame (x forward, y up, z right, on the floor) is turned into the URDF base frame
 (x forward, y left, z up) and lifted by ``base_height_m``.
@@ -74,7 +74,7 @@ class JointTargets(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A kinematic tree with looks, shapes and cameras. Immutable: share it freely."""
+    """A kinematic tree with appearance, shapes and cameras. Immutable: share it freely."""
 
     name: str
     file: Path
@@ -137,7 +137,7 @@ class Robot:
 
     @cached_property
     def climbing_length_m(self) -> float:
-        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 of robots that do not climb."""
+        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 for robots that do not climb."""
         if not self.climbs_stairs:
             return 0.0
         if not self.legs:
@@ -153,12 +153,12 @@ class Robot:
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of all cameras, in the order of `cameras`; recordings and videos call them so."""
+        """Names of all cameras, in the order of `cameras`, as in recordings and videos."""
         return tuple(camera.name for camera in self.cameras)
 
     @cached_property
     def base_shapes(self) -> tuple[Cylinder, ...]:
-        """The base as the paper has it: upright cylinders over ``base_discs``, in the agent root frame."""
+        """Collision shapes of the base as in the paper: upright cylinders over ``base_discs``, in the agent root frame."""
         return self.base_cylinders()
 
     def base_cylinders(self, profile: str = "") -> tuple[Cylinder, ...]:

@@ -1,4 +1,4 @@
-"""Settings of a robot that a URDF has no place for, in ``robot.toml``: posture, base profiles, hand, legs, cameras."""
+"""Settings of a robot that URDF cannot hold, in ``robot.toml``: posture, base profiles, hand, legs, cameras."""
 
 from __future__ import annotations
 

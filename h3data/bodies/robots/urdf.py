@@ -55,7 +55,7 @@ class UrdfLink:
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfMimic:
-    """Position = ``multiplier`` * position of ``joint`` + ``offset``. ``joint`` is one that mimics nothing itself."""
+    """Rule of a joint that follows another: position = ``multiplier`` * position of ``joint`` + ``offset``."""
 
     joint: str
     multiplier: float = 1.0
@@ -103,7 +103,7 @@ class Urdf:
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
-        """The joints that have a position of their own (neither fixed nor mimic), in the order of the file."""
+        """Joints that have a position of their own (neither fixed nor mimic), in the order of the file."""
         return tuple(j for j in self.joints if j.kind != "fixed" and j.mimic is None)
 
 

@@ -1,4 +1,4 @@
-"""Robot and person, row by row: distance, facing, found, backing up, yielding, as the paper counts them.
+"""Robot and person, row by row, by the paper's rules: distance, facing, found, backing up, yielding.
 
 The one definition of "found" for the paper's metrics and whatever follows it; habitat-lab's own is in
 `h3data_habitat.metrics.stats`.

@@ -1,4 +1,4 @@
-"""Results of Habitat 3.0 as its tables print them, from ``published.toml`` in this folder."""
+"""Published results of Habitat 3.0, from ``published.toml`` in this folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that recordings and configs name, looked up below the user's asset folders."""
+"""Files that recordings and configs refer to, searched below the user's asset folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Handles of Habitat's objects, ``chair_:0000``: an instance of the template ``chair``, whose config or mesh lies somewhere."""
+"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be anywhere."""
 
 from __future__ import annotations
 

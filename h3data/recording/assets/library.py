@@ -1,4 +1,4 @@
-"""Recorded file names to meshes: looked up below the user's folders, generated, or taken from a scene."""
+"""Meshes for recorded file names: found below the user's folders, generated, or taken from a scene."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EMPTY_URI = "primitive:empty"
 
 
 class AssetLibrary:
-    """Finds meshes for the assets of a recording.
+    """Library of meshes for the assets of a recording.
 
     ``roots`` are as in `AssetFolders`, or one that was made already.
     What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
@@ -68,7 +68,7 @@ class AssetLibrary:
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """Folders in which assets are looked up."""
+        """Folders in which assets are searched."""
         return self.folders.roots
 
     def resolve(self, uri: str) -> Path | None:

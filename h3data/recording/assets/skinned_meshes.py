@@ -1,4 +1,4 @@
-"""Skinned meshes of glTF files, posed by the bones that a recording holds, as habitat-sim draws them."""
+"""Skinned meshes of glTF files, posed by recorded bones as in habitat-sim."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chunks of a finished recording, each with everything that was known at its end."""
+"""Chunks of a finished recording, each with everything that was known at its end."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
 
 
 class CutRecording:
-    """Events, inputs and skills of a recording, handed out as its steps are written.
+    """Events, inputs and skills of a recording, returned step by step as it is written.
 
     Everything is handed out in its recorded order, which need not be that of time; the last chunk takes what is left.
     """

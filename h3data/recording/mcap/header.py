@@ -1,4 +1,4 @@
-"""Metadata records, the scene message and log times of an MCAP log."""
+"""Metadata records, scene message and log times of an MCAP log."""
 
 from __future__ import annotations
 

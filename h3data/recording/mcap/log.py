@@ -1,4 +1,4 @@
-"""Store an episode as an MCAP file that grows while the episode runs and is readable up to its last flush after a crash.
+"""Storage of an episode as an MCAP file that grows while the episode runs and is readable up to its last flush after a crash.
 
 While it is written the file is called ``<name>.part``; only a complete file gets its final name. ``h3data docs format``
 describes the contents.

@@ -1,4 +1,4 @@
-"""A file that is called ``<name>.part`` until it is complete and synced to the disk."""
+"""File that is named ``<name>.part`` until it is complete and synced to the disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Saves the readable part of a log that was cut off, damaged or never finished."""
+"""Recovery of the readable part of a log that was truncated, damaged or never finished."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows between `LogWriter.append` and the file: checked against the columns, held back to be encoded together."""
+"""Rows between `LogWriter.append` and the file: checked against the columns, and buffered to be encoded together."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
 
 
 class PendingRows:
-    """Rows of one log, held until `take` returns them."""
+    """Buffered rows of one log, until `take` returns them."""
 
     def __init__(self, layout: Layout) -> None:
         self.steps = 0

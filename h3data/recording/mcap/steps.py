@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
-    """The steps of a log; the chunks decompressed last are kept."""
+    """Steps of a log; the most recently decompressed chunks are cached."""
 
     once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
     """Topics whose messages are written once and not at every step."""

@@ -62,17 +62,17 @@ class WireField:
 
     @property
     def wire_dtype(self) -> np.dtype[Any]:
-        """Type of the field's numbers as they lie in the message."""
+        """Type of the field's numbers in the message."""
         return np.dtype("u1" if self._as_bytes else _WIRE[self.column.dtype][1])
 
     @property
     def size(self) -> int:
-        """Bytes of the values in one message, without tag and length."""
+        """Size of the values in one message, without tag and length [bytes]."""
         return self.column.width * self.wire_dtype.itemsize
 
     @property
     def head(self) -> bytes:
-        """Tag and, for lists, length."""
+        """Bytes before the values: tag and, for lists, length."""
         if self.column.shape:
             return varint(self.number << 3 | _BYTES) + varint(self.size)
         return varint(self.number << 3 | _WIRE[self.column.dtype][2])

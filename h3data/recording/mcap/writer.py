@@ -1,4 +1,4 @@
-"""Writing MCAP logs: live while the episode happens, or a finished recording at once."""
+"""Writing of MCAP logs: live while the episode runs, or a finished recording at once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.recording.storage import AnyPath, RemotePath, open_binary, place
 
 
 class RecordingWriter(LogWriter):
-    """Writes one episode while it happens, then packs the file tightly.
+    """Writer of one episode while it runs, which packs the file at the end.
 
     A log that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
     final name, reads it back and replaces it by the file `write_mcap` would make of it (`pack_mcap`). Pass ``compact=False`` to

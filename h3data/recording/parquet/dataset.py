@@ -1,4 +1,4 @@
-"""Parquet datasets as recordings, columns and tables of episodes; columns that nobody asked for are not read."""
+"""Parquet datasets as recordings, columns and tables of episodes; only requested columns are read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Dataset(DatasetFolder):
-    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
+    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is active."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
@@ -153,7 +153,7 @@ class Dataset(DatasetFolder):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras of which the episodes have videos."""
+        """Names of the cameras that have videos of the episodes."""
         return tuple(video.camera for video in self.schema.videos)
 
     def video(self, index: int, camera: str) -> EpisodeVideo:

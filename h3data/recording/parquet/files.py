@@ -1,4 +1,4 @@
-"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear whole."""
+"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear only when complete."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def stored_dtype(column: Column) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSchema:
-    """Columns that every data file of a dataset holds, decided before the first one is written."""
+    """Columns of every data file of a dataset, fixed before the first one is written."""
 
     columns: Layout
     """Widest shape of every column."""

@@ -1,4 +1,4 @@
-"""Files of episodes that are to be played: what reads and writes them is found by the group ``h3data.episode_files``."""
+"""Files of episodes to be played; the group ``h3data.episode_files`` provides their readers and writers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PARTNR's collaboration episodes: what their propositions ask to be put where.
+"""Goals of PARTNR's collaboration episodes: which objects have to be put where, from their propositions.
 
 An episode lists propositions such as ``is_on_top(object_handles, receptacle_handles, number)``: ``number`` of the objects
 have to be on any of the pieces of furniture (partnr-planner, habitat_llm/agent/env/evaluation). Those that ask for a place on

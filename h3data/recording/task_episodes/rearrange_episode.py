@@ -1,4 +1,4 @@
-"""Episode datasets of habitat-lab: which objects lie where, where they have to go (spec/habitat.md 0, 6.5).
+"""Episode datasets of habitat-lab: positions and goals of objects (spec/habitat.md 0, 6.5).
 
 Poses stay the 4x4 matrices that the file has (row-major, acting on column vectors, local to world [m]), so that reading
 and writing lose nothing; `object_poses` and `goal_poses` give them as pose7. An object's frame is its centre-of-mass frame.
@@ -97,7 +97,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class ContentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """Part of a dataset that lies in several files: ``content/<name>.json.gz``."""
+    """Part of a dataset that is split into files ``content/<name>.json.gz``."""
 
     name: str
     episodes: int

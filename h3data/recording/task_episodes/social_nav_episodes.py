@@ -1,4 +1,4 @@
-"""Social-navigation episodes in Habitat's files: the starts and way points that Habitat itself draws anew every time.
+"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples anew every time.
 
 Habitat stores neither where the two agents begin nor where the person walks (spec/habitat.md 1.2). Ours lie under
 ``info["h3data"]``, which Habitat carries along unread, so that one file serves both.
@@ -20,7 +20,7 @@ TASK = "social_nav"
 
 
 class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
-    """Starts of both agents and the walk of the person: all that a simulator needs besides the scene."""
+    """Starts of both agents and the walk of the person: everything that a simulator needs besides the scene."""
 
     robot_start: Start
     human_start: Start

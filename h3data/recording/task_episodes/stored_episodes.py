@@ -1,4 +1,4 @@
-"""Complete episodes in Habitat's files: what Habitat leaves to chance lies in ``info["h3data"]``, which it does not read."""
+"""Complete episodes in Habitat's files: what Habitat samples is in ``info["h3data"]``, which it does not read."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class StoredEpisode(Protocol):
 
     @property
     def seed(self) -> int:
-        """Seed of all random choices that the record does not hold."""
+        """Seed of all random choices that are not in the record."""
         ...
 
     @property
     def scene_sha256(self) -> str:
-        """Digest of the scene (`h3data.scene.scene_digest`), to tell that it is the same home; empty if unknown."""
+        """Digest of the scene (`h3data.scene.scene_digest`), which identifies the home; empty if unknown."""
         ...
 
     @property

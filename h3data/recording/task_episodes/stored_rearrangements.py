@@ -1,4 +1,4 @@
-"""Rearrangement episodes in Habitat's files: which objects lie where, where they have to go, where the agents start.
+"""Rearrangement episodes in Habitat's files: positions and goals of objects, and starts of the agents.
 
 Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
 ``info["h3data"]`` (`h3data.recording.task_episodes.stored_episodes`). Both are read as one record.
@@ -37,7 +37,7 @@ TASK = "rearrange"
 
 
 class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Object and the place where it has to go; also an entry of a recording's ``info["goals"]``."""
+    """Object and its goal; also an entry of a recording's ``info["goals"]``."""
 
     object: str
     """Name of the instance in the scene."""

@@ -36,7 +36,7 @@ def check_light(light: object) -> None:
 
 @dataclass(frozen=True)
 class Window:
-    """A pane through which the sky is seen: an upright rectangle."""
+    """A window pane: an upright rectangle through which sky light enters."""
 
     center: NDArray[np.float64]
     half_u: NDArray[np.float64]

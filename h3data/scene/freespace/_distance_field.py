@@ -1,4 +1,4 @@
-"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a look at the nearest ones."""
+"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a check of the nearest ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compute outlines on the floor of collision shapes: the part of each convex shape in a band of heights, as polygons."""
+"""Outlines of collision shapes on the floor: the part of each convex shape in a band of heights, as polygons."""
 
 from __future__ import annotations
 

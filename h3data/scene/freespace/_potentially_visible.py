@@ -1,4 +1,4 @@
-"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners worth looking at from within it.
+"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners that may be visible from within it.
 
 A taut string leaves a corner only inside a wedge on either side of it, and of that wedge walls hide most. Of hundreds of
 corners about ten are left per bucket, so that a query looks at those alone. A set never misses a corner (it is

@@ -1,4 +1,4 @@
-"""Numba kernels on a signed distance grid: look-up, gradient, line of sight, and building it from polygon edges.
+"""Numba kernels on a signed distance grid: look-up, gradient, line of sight, and construction from polygon edges.
 
 A grid is ``sdf`` float32 [nx, nz] with the values at cell centres; ``origin`` (x, z) is the lower corner of cell [0, 0], so
 the centre of cell [i, j] is ``origin + (i + 0.5, j + 0.5) * cell``. Distances are to the nearest obstacle or border of the

@@ -1,4 +1,4 @@
-"""Build the arrays of the visibility graph of a free area (shapely), with every edge checked twice."""
+"""Construction of the visibility graph of a free area (shapely), with every edge checked twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numba kernels that find the floor in a heap of triangles: voxel columns, then a flood over surfaces one can step onto.
+"""Numba kernels that find the floor among unordered triangles: voxel columns, then a flood over surfaces one can step onto.
 
 After Recast's idea (heightfields; spec/habitat.md names the settings): a surface can be stood on when it is not too steep
 and has headroom, and neighbouring surfaces join when the step between them is no higher than the climb.

@@ -1,4 +1,4 @@
-"""Geometry of the free floor as it is built and stored; `FreeSpace` answers questions about it."""
+"""Geometry of the free floor as it is built and stored; `FreeSpace` answers queries about it."""
 
 from __future__ import annotations
 

@@ -261,7 +261,7 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def lattice(self) -> Lattice:
-        """A lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
+        """Lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
         return build_lattice(self.graph, self.polygon.bounds, step=lattice_step(self.polygon.area))
 
     def _triangles(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -41,7 +41,7 @@ Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoxgloveCamera:
-    """A camera that is shown."""
+    """A camera with its poses, for images and calibration."""
 
     camera: Camera
     """Intrinsics and name."""

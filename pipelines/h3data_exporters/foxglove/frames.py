@@ -17,7 +17,7 @@ _WHOLE_NS = 1_000_000_000
 
 
 class FrameTree:
-    """Frames by index, each in the world or in one that was added before."""
+    """Frames by index, each in the world or in an earlier frame."""
 
     def __init__(self) -> None:
         self.names: list[str] = []

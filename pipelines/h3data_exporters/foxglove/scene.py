@@ -1,4 +1,4 @@
-"""Scene entities of a recording, which hang in frames, and the poses of those frames."""
+"""Scene entities of a recording, attached to frames, and the poses of those frames."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ _BLOCK = 1000
 
 @dataclass
 class Notes:
-    """Odd things, counted by kind, each with the first place."""
+    """Irregularities, counted by kind, each with the first place."""
 
     path: Path
     strict: bool

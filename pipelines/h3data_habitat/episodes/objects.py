@@ -1,4 +1,4 @@
-"""Objects that an episode adds to its scene, from their templates; a striped box stands in for one that is not here."""
+"""Objects that an episode adds to its scene, from their templates; a striped box replaces a missing one."""
 
 from __future__ import annotations
 

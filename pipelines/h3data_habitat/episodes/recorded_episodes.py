@@ -1,4 +1,4 @@
-"""Starts, goals and way points of recorded episodes, to play them again or to write them into Habitat's files."""
+"""Starts, goals and waypoints of recorded episodes, to play them again or to write them into Habitat's files."""
 
 from __future__ import annotations
 

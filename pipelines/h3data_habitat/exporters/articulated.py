@@ -1,4 +1,4 @@
-"""Things that open as Habitat's articulated objects: a URDF, an ``ao_config``, and an entry of the scene instance.
+"""Furniture that opens as Habitat's articulated objects: a URDF, an ``ao_config``, and an entry of the scene instance.
 
 All frames of the URDF have the axes of the thing (Y-up, as habitat-sim takes them), with every joint at 0; a part's frame is
 on its axis. Meshes are written in the frame of their link, scale included.

@@ -1,4 +1,4 @@
-"""The building of a home as habitat-sim is to see it: its parts as nodes of a GLB, without the roof."""
+"""Building of a home for habitat-sim: its parts as nodes of a GLB, without the roof."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with what has no file of its own as GLB beside them.
+"""Recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with GLB files for bodies that have no file.
 
 The file holds what is drawn and nothing else: no times, names, actions or joint positions. Keyframe k is row k. Lists
 that are empty are left out, poses are written when they change, as habitat-sim does it.

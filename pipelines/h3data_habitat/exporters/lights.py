@@ -1,4 +1,4 @@
-"""Lights for habitat-sim under which its pictures of our homes look like ours.
+"""Lights for habitat-sim that make its pictures of our homes similar to ours.
 
 habitat-sim's ``material`` shader has no ambient light: what no light faces is black, ceilings above all. So there is one
 directional light along each axis, both ways, as strong as our renderer's light on a surface that faces it. The shader

@@ -1,4 +1,4 @@
-"""Our homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader gives back."""
+"""Homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader reads back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recognises the agents of a gfx-replay by the names of its asset files, as the format does not name them."""
+"""Recognition of the agents of a gfx-replay by the names of its asset files, as the format does not name them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Kind = Literal["robot", "human"]
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """An agent as it was recognised; ``record`` goes into the episode's info."""
+    """An agent that was recognised; ``record`` goes into the episode's info."""
 
     record: dict[str, Any]
     warnings: list[str] = field(default_factory=list)

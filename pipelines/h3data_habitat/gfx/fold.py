@@ -1,4 +1,4 @@
-"""Folds the keyframes of a gfx-replay, which hold changes, into instances with lifetimes, poses and columns."""
+"""Conversion of the keyframes of a gfx-replay, which hold changes, to instances with lifetimes, poses and columns."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Life:
 
 @dataclass(eq=False)
 class Loaded:
-    """The load entries of one path."""
+    """Load entries of one path."""
 
     last: Load
     always_painted: bool = True
@@ -134,7 +134,7 @@ class Rig:
 
 @dataclass(eq=False)
 class Fold:
-    """The content of all keyframes, by instance."""
+    """Content of all keyframes, by instance."""
 
     steps: int = 0
     lives: list[Life] = field(default_factory=list)

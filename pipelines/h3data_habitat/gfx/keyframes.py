@@ -1,4 +1,4 @@
-"""Reads the keyframes of a gfx-replay file one by one, as typed records.
+"""Reading of the keyframes of a gfx-replay file one by one, as typed records.
 
 The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Empty lists are left
 out, unknown members are ignored, and the enumeration ``type``, which changed over the years, is never used.
@@ -164,7 +164,7 @@ _OPENING_BYTES = 4096
 
 
 class Undecodable(Exception):
-    """Text of a file that cannot be decoded as what belongs there.
+    """Text of a file that cannot be decoded as the expected type.
 
     `explain` makes an error for users of it.
     """

@@ -1,4 +1,4 @@
-"""Tells robots and people in a HITL log apart and poses them; the log holds only the roots of their bodies.
+"""Distinction and posing of robots and people in a HITL log, which holds only the roots of their bodies.
 
 Frames of the logged roots (spec/habitat.md 0): a robot's has x forward, y up, z right and is its base link; a person's is
 the SMPL-X pelvis with z forward, y up, x left.

@@ -1,4 +1,4 @@
-"""Shared by both generations of HITL logs: objects, metrics, and the assembly of a recording."""
+"""Code for both generations of HITL logs: objects, metrics, and the assembly of a recording."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def _leaves(row: Mapping[str, Any], at: str, depth: int) -> Iterable[tuple[str, 
 
 @dataclass(kw_only=True, eq=False)
 class HitlEpisode:
-    """The parts of a log in our terms; `recording` assembles them."""
+    """Parts of a log in h3data's terms; `recording` assembles them."""
 
     path: Path
     data: bytes

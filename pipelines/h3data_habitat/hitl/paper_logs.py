@@ -1,4 +1,4 @@
-"""Reads logs of the paper's HITL tool: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
+"""Reading of logs of the paper's HITL tool: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
 
 from __future__ import annotations
 

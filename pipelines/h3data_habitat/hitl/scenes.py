@@ -1,4 +1,4 @@
-"""The home of a HITL session: found below the user's folders, or replaced by a marked floor."""
+"""Home of a HITL session: found below the user's folders, or replaced by a marked floor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads episodes of habitat-lab's ``rearrange_v2`` HITL sessions, and of PARTNR in the same format (spec/habitat.md 5.3)."""
+"""Reading of habitat-lab's ``rearrange_v2`` HITL sessions, and PARTNR's in the same format (spec/habitat.md 5.3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Definitions of what habitat-lab's measures emit, under its own keys (misspellings included)."""
+"""Definitions of the measures of habitat-lab, by its own keys (misspellings included)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The profiles ``habitat`` and ``habitat@0.3.0``: the values that habitat-lab would have printed for a recording.
+"""Profiles ``habitat`` and ``habitat@0.3.0``: the values that habitat-lab would have printed for a recording.
 
 Row 0 of the recording stands for Habitat's reset, which it counts as step 1. The arithmetic is in
 `h3data_habitat.metrics.stats` and `h3data_habitat.metrics.reward`; tests/metrics/test_habitat.py compares it with outputs of

@@ -19,7 +19,7 @@ MAIN, PAPER_RELEASE = "habitat", "habitat@0.3.0"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskTrack:
-    """Inputs of the rewards beside positions; every array [T]."""
+    """Inputs of the rewards besides positions; every array is [T]."""
 
     collides: NDArray[np.bool_]
     """True if robot and human touch."""

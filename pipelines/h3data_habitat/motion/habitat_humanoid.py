@@ -119,7 +119,7 @@ def base_matrix(position: ArrayLike, forward: ArrayLike) -> Array:
 
 
 class HabitatHumanoid:
-    """Walks, turns and reaches exactly as habitat-lab's ``HumanoidRearrangeController`` (main) does.
+    """Humanoid that walks, turns and reaches exactly as habitat-lab's ``HumanoidRearrangeController`` (main).
 
     After each call ``joints`` [54, 4] (order `HABITAT_JOINTS`), ``offset`` [4, 4] and ``base`` [4, 4] hold what
     habitat-lab puts into its ``humanoidjoint_action``, `root` where the pelvis is, `columns` what recordings store.

@@ -1,4 +1,4 @@
-"""Build the arrays of a navmesh's walking surface: orientation, buckets, and the corners where paths bend."""
+"""Construction of a navmesh's walking surface: orientation, buckets, and the corners where paths bend."""
 
 from __future__ import annotations
 

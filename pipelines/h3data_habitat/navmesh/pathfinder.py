@@ -29,7 +29,7 @@ _ANY = -1
 
 @dataclass(kw_only=True)
 class ShortestPath:
-    """A question and, after `PathFinder.find_path`, its answer. Fields can be set one by one, as in habitat-sim."""
+    """Query of a path and, after `PathFinder.find_path`, its result. Fields can be set one by one, as in habitat-sim."""
 
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_end: ArrayLike = field(default_factory=lambda: np.zeros(3))
@@ -77,7 +77,7 @@ class PathFinder:
 
     @property
     def surface(self) -> Surface:
-        """The polygons as flat arrays, for kernels (`h3data_habitat.navmesh._surface`)."""
+        """Polygons as flat arrays, for kernels (`h3data_habitat.navmesh._surface`)."""
         return self._surface
 
     @cached_property
@@ -222,7 +222,7 @@ class PathFinder:
 
     @property
     def num_islands(self) -> int:
-        """Number of parts that no path joins."""
+        """Number of islands, between which there are no paths."""
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:

@@ -1,4 +1,4 @@
-"""Habitat's articulated objects: a URDF whose links stand where the initial joint positions put them."""
+"""Habitat's articulated objects: a URDF whose links are posed by the initial joint positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Collision parts as closed meshes for Habitat's collider files, and assets with an instance's scale worked in."""
+"""Collision parts as closed meshes for Habitat's collider files, and assets with the scale of an instance applied."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ IGNORED_FILES: Mapping[str, str] = {
 
 
 class KeyNotes:
-    """Collects which keys of the files of a scene were not read."""
+    """Collection of the keys in the files of a scene that were not read."""
 
     def __init__(self) -> None:
         self.ignored: set[str] = set()

@@ -25,7 +25,7 @@ REACH_MAX_M = 1e5
 
 @dataclass
 class SceneBuilder:
-    """Collects assets and instances of one scene.
+    """Builder of the assets and instances of one Habitat scene.
 
     An object that cannot be used (a damaged mesh, a size of 0) is left out with a warning; a config of the wrong form is a
     `FormatError`. With ``strict`` every warning is an error in the end.

@@ -1,4 +1,4 @@
-"""Scene datasets of Habitat: templates that a ``*.scene_dataset_config.json`` offers, and their attributes."""
+"""Scene datasets of Habitat: templates in a ``*.scene_dataset_config.json``, and their attributes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NAME_DIRECTIVES = ("%%CONFIG_NAME_AS_ASSET_FILENAME%%", "%%USE_FILENAME%%")
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A kind of stage, object or scene that can be instanced. Its file is read when it is used."""
+    """A kind of stage, object or scene that can be instantiated. Its file is read at its first use."""
 
     handle: str
     """Short name: the file's name without its ending, or the ``template_handle`` of the dataset."""

@@ -74,7 +74,7 @@ class _Frame:
 
 @dataclass
 class TemplateReader:
-    """Reads each template once."""
+    """Reader that reads each template once."""
 
     files: ReferencedFiles
     keys: KeyNotes

@@ -1,4 +1,4 @@
-"""`Furniture`, one parametric piece, and the helpers that all pieces are built with.
+"""Furniture as a parametric piece, and the helpers that build all pieces.
 
 Asset frame: origin on the floor below the centre of the footprint, +Y up, front facing +Z.
 """
@@ -29,7 +29,7 @@ HEAD_BAND = (0.05, 1.8)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Furniture:
-    """Piece of furniture with the data that placement needs."""
+    """Piece of furniture with the data for its placement."""
 
     category: str
     builder: MeshBuilder

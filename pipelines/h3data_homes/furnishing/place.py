@@ -65,7 +65,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Piece of furniture at its place in the world."""
+    """Piece of furniture with its place in the world."""
 
     piece: Furniture
     room: str

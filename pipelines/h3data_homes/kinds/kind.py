@@ -47,7 +47,7 @@ def _sampled_scale(model: Model, rng: np.random.Generator) -> NDArray[np.float64
 
 
 class KindBuilder(MeshBuilder):
-    """A model whose parts are collected only when its mesh is asked for: most pieces are tried and discarded."""
+    """Model whose parts are collected only when its mesh is requested: most pieces are tried and discarded."""
 
     def __init__(self, kind_parts: Sequence[Part], seed: int, style: Style, scale: NDArray[np.float64]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Shapes that the tables of kinds are written in: each function returns one `Part` or a few.
+"""Shapes for the tables of kinds: each function returns one `Part` or a few.
 
 Positions are the middle of a part's footprint and its underside (x, y, z), for balls the centre; lengths in metres, turns in
 degrees about x, y and z (in this order), around the part's centre. Colours are names that `colours` resolves, or sRGB

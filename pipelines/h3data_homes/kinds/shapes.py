@@ -1,4 +1,4 @@
-"""The models of the catalogue: each file in ``datasets/kinds/`` writes them in the shapes of this module.
+"""Models of the catalogue: each file in ``datasets/kinds/`` describes them by the shapes of this module.
 
 Positions (``at``) are the middle of a shape's footprint and its underside (x, y, z), for balls and arcs the centre; lengths in
 metres, turns in degrees about x, y and z (in this order), around the shape's centre. Colours are names that `colours`
@@ -47,7 +47,7 @@ class Box(Shape, frozen=True):
 
 
 class Rod(Shape, frozen=True):
-    """A closed cylinder, or a cone frustum with the radius ``top`` at its top; the underside is that after the turn."""
+    """A closed cylinder, or a cone frustum with the radius ``top`` at its top; the underside is that after the rotation."""
 
     at: Point
     radius: float
@@ -90,7 +90,7 @@ class Ball(Shape, frozen=True):
 
 
 class Soft(Shape, frozen=True):
-    """A box with round edges."""
+    """A box with rounded edges."""
 
     at: Point
     size: tuple[float, float, float]

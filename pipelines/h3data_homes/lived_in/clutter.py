@@ -1,4 +1,4 @@
-"""Things that people leave about: on furniture and on the floor, by the tables of `habits`."""
+"""Things left lying around, on furniture and on the floor, by the tables of `habits`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Things left in rooms: tables of habits, for surfaces by the furniture that they belong to, and for floors by room."""
+"""Tables of habits of leaving things in rooms: for surfaces by their furniture, and for floors by room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Furniture of each kind of room in homes of the second generation: what the first has, further pieces, new kinds of rooms.
+"""Furniture of each kind of room in homes of the second generation: that of the first, further pieces, new kinds of rooms.
 
 Large pieces come first, then `EXTRAS` in random order as far as they fit, then `ON_WALL`; at last `remodel` gives the
 furniture of the first generation other looks.

@@ -1,4 +1,4 @@
-"""Pieces that would stand a centimetre or two in a wall or in other furniture are moved out of it.
+"""Correction of pieces that would overlap a wall or other furniture by a centimetre or two.
 
 Places are found for models that stand parallel to the walls; a chair that is turned by some degrees is wider, and so are
 collision boxes that are larger than the model. Only pieces that are too deep in something are changed.

@@ -1,4 +1,4 @@
-"""``h3data language templates``, ``h3data language verify`` and ``h3data language attach``."""
+"""Commands ``h3data language templates``, ``h3data language verify`` and ``h3data language attach``."""
 
 from __future__ import annotations
 

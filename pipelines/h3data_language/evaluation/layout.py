@@ -1,4 +1,4 @@
-"""Geometry that propositions speak about: boxes of things, surfaces of furniture, rooms; as JSON in a recording's info.
+"""Geometry for propositions: boxes of things, surfaces of furniture, rooms; as JSON in a recording's info.
 
 With it, nothing but columns of the recording is needed for an evaluation: neither the scene nor the simulator.
 """
@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 
 
 class ThingBox(msgspec.Struct, frozen=True):
-    """A thing that agents move: its box, and where a recording holds its pose."""
+    """A movable thing: its box, and the place of its pose in a recording."""
 
     body: int
     """Index of the thing's body, as in ``agent_<i>.grasp_body``."""
@@ -33,7 +33,7 @@ class ThingBox(msgspec.Struct, frozen=True):
 
 
 class Surface(msgspec.Struct, frozen=True):
-    """A rectangle on which things can stand."""
+    """A rectangle on which things can be placed."""
 
     center: Vector
     """Center in the world [m]."""

@@ -33,7 +33,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 @dataclass(eq=False)
 class Rows:
-    """The rows of a recording that propositions are about."""
+    """Rows of a recording over which propositions are evaluated."""
 
     layout: Layout
     poses: NDArray[np.floating]

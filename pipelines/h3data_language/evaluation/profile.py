@@ -1,4 +1,4 @@
-"""The profile ``partnr``: percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
+"""Profile ``partnr``: percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
 
 Of a recording with propositions (`h3data_language.evaluation.records`) and the layout of its home, it finds by itself when
 each was satisfied. Other recordings hold what the evaluator of their simulator found: ``info["satisfied_at"]``, for each of P

@@ -1,4 +1,4 @@
-"""``h3data scenes``: lists, renders, exports and validates scenes."""
+"""Command ``h3data scenes``, which lists, renders, exports and validates scenes."""
 
 from __future__ import annotations
 

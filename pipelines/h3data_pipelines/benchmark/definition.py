@@ -32,7 +32,7 @@ DEFINITION, EPISODES, BASELINES = "benchmark.toml", "episodes.json", "baselines.
 
 
 class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The contents of ``benchmark.toml``."""
+    """Contents of ``benchmark.toml``."""
 
     format: int
     name: str

@@ -1,4 +1,4 @@
-"""Checks of a result: whether its table follows from its recordings, and these from the episodes of the benchmark.
+"""Verification of a result: its table against its recordings, and these against the episodes of the benchmark.
 
 Nothing that the result claims is taken on trust. Each recording is compared with the episode that the benchmark names,
 simulated again from the robot's recorded actions, with people whose own policies decide again, and measured again.

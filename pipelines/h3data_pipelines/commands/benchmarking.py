@@ -1,4 +1,4 @@
-"""``h3data benchmark``: run a named benchmark, check anybody's result of it, and make a leaderboard."""
+"""Command ``h3data benchmark``: runs a named benchmark, verifies any result of it, and makes a leaderboard."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def verify_benchmark(
 
 @command_of(verify_benchmark)
 class BenchmarkVerify:
-    """Check whether the table of a result is true.
+    """Check whether the table of a result follows from its recordings.
 
     Each recording is compared with the episode that the benchmark names, simulated again from the robot's actions, with people
     whose own policies decide again, and measured again; the table has to follow from these. Policies of robots are not needed.

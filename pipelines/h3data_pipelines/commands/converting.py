@@ -1,4 +1,4 @@
-"""``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
+"""Command ``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
 
 from __future__ import annotations
 

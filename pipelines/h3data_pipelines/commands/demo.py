@@ -1,4 +1,4 @@
-"""``h3data demo``: one episode through every room of the house, offline: metrics at once, then a picture, then videos."""
+"""Command ``h3data demo``: one episode through every room of a home, offline: metrics at once, then a picture, then videos."""
 
 from __future__ import annotations
 

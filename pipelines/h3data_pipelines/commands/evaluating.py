@@ -1,4 +1,4 @@
-"""``h3data evaluate``: compares policies in the same episodes, with the paper's numbers for comparison.
+"""Command ``h3data evaluate``, which compares policies in the same episodes with each other and with the paper's numbers.
 
 In rearrangement every robot policy plays with every partner.
 """

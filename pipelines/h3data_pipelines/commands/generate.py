@@ -1,4 +1,4 @@
-"""``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
+"""Command ``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
 
 from __future__ import annotations
 

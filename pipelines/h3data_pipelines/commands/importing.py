@@ -1,4 +1,4 @@
-"""``h3data import``: turns recordings of other programs into MCAP recordings."""
+"""Command ``h3data import``, which converts recordings of other programs to MCAP recordings."""
 
 from __future__ import annotations
 

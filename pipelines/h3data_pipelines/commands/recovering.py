@@ -1,4 +1,4 @@
-"""``h3data recover``: saves the readable part of a recording that was cut off."""
+"""Command ``h3data recover``, which saves the readable part of a recording that was cut off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data replay``: simulates a recording again to check it, to continue from any step, or to try another policy."""
+"""Command ``h3data replay``, which simulates a recording again to check it, to continue it, or to try another policy."""
 
 from __future__ import annotations
 

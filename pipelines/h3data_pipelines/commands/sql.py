@@ -1,4 +1,4 @@
-"""``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
+"""Command ``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shards by this process, or by several of this machine."""
+"""Execution of shards in this process, or in several processes of this machine."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def local_processes(address: str, workers: int) -> Iterator[Processes]:
 
 @dataclass(frozen=True)
 class Processes:
-    """The executor ``local``."""
+    """Executor ``local``."""
 
     workers: int
 

@@ -1,4 +1,4 @@
-"""Shards by the workers of a Ray cluster, or of Ray on this machine.
+"""Execution of shards by the workers of a Ray cluster, or of Ray on this machine.
 
 Ray only carries shards and results; which shards there are, and their results, are those of `Processes`. A worker or node
 that dies costs the shards it had: they are tried again. A straggler is tried a second time when nothing else is left to
@@ -132,7 +132,7 @@ def _signals_kept() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class RayWorkers:
-    """The executor ``ray``."""
+    """Executor ``ray``."""
 
     workers: int
     threads: int = 1

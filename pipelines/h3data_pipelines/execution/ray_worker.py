@@ -42,7 +42,7 @@ _DECIDES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True)
 class Origin:
-    """The process that asks: what a worker must have in common with it for the same bytes, and where paths begin."""
+    """Properties of the requesting process that a worker must share to give the same bytes, and its working directory."""
 
     code: str
     """Digest of the source files of h3data."""

@@ -1,4 +1,4 @@
-"""``h3data card``: a README.md for a dataset, as the Hugging Face Hub shows it."""
+"""Command ``h3data card``: a README.md for a dataset, as the Hugging Face Hub shows it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SHA-256 of every file of a dataset, in ``h3/checksums.json``: a copy can be compared with the original."""
+"""SHA-256 of every file of a dataset, in ``h3/checksums.json``, for comparison of a copy with the original."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Hugging Face Hub as push and pull see it: its library, the names of datasets, and what goes wrong in words."""
+"""Client of the Hugging Face Hub: its library, the names of datasets, and errors in words."""
 
 from __future__ import annotations
 

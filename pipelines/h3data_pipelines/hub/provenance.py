@@ -1,4 +1,4 @@
-"""The commands that made a dataset, kept in ``h3/commands.json``."""
+"""Commands that made a dataset, stored in ``h3/commands.json``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data push``: a dataset onto the Hugging Face Hub."""
+"""Command ``h3data push``: a dataset onto the Hugging Face Hub."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data sync``: a copy of a dataset in another folder or object store, and what is new in it the next time."""
+"""Command ``h3data sync``: a copy of a dataset in another folder or object store, and its update."""
 
 from __future__ import annotations
 

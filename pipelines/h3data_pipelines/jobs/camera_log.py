@@ -1,4 +1,4 @@
-"""``<recording>.cameras.json``: which videos there are of a recording, from which camera, which was where at every frame.
+"""File ``<recording>.cameras.json``: the videos of a recording, their cameras, and the cameras' poses at every frame.
 
 The file is also what makes rendering resumable: an output that it lists, made of the same things, is not drawn again.
 """
@@ -21,7 +21,7 @@ from h3data_pipelines.outputs import Target
 
 
 class CameraLog:
-    """The file of one recording in one folder; missing or of an earlier run."""
+    """File of one recording in one folder; it may be missing or from an earlier run."""
 
     def __init__(
         self, folder: Path, stem: str, replay: Replay, steps: range, *, samples: int = 1, backend: str = "cpu"

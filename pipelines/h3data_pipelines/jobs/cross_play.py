@@ -42,7 +42,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class CrossPlayTable:
-    """Robots by partners, for each metric."""
+    """Table of robots by partners, for each metric."""
 
     policies: tuple[str, ...]
     partners: tuple[str, ...]

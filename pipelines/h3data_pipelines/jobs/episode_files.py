@@ -27,7 +27,7 @@ _SHOWN = 20
 
 
 class FileJobs(NamedTuple):
-    """The episodes of a file."""
+    """Episodes of a file."""
 
     jobs: Sequence[Job]
     left_out: tuple[str, ...] = ()
@@ -61,7 +61,7 @@ def notes_on(made: MissingEpisodes) -> str:
 
 
 class EpisodeRequest(Protocol):
-    """Request for episodes that a command plays: those of a file, or of scenes."""
+    """Request for the episodes of a command: those of a file, or of scenes."""
 
     @property
     def episodes_file(self) -> Path | None:
@@ -70,7 +70,7 @@ class EpisodeRequest(Protocol):
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Scenes, as the option ``--scenes`` names them."""
+        """Scenes, as in the option ``--scenes``."""
         ...
 
     @property

@@ -31,7 +31,7 @@ SOLO = "solo"
 
 @dataclass(frozen=True)
 class Job:
-    """Episode to simulate, with all that a worker needs to know."""
+    """Episode to simulate, with all data for a worker."""
 
     index: int
     seed: int
@@ -147,7 +147,7 @@ ORACLE = "oracle"
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Choices of the user; None leaves one to the episode, or to the task."""
+    """Choices of the user; for None, the episode or the task decides."""
 
     task: str
     policy: str | None = None
@@ -171,7 +171,7 @@ class Choices:
 
     @cached_property
     def found_task(self) -> Task:
-        """Return the task."""
+        """Return the task that the user has chosen."""
         from sim_kinematic.tasks.registry import find_task
 
         return find_task(self.task)
@@ -337,7 +337,7 @@ def make_jobs(
 
 
 class SampledJobs(Sequence[Job]):
-    """Episodes distributed over some scenes in turn, each made on request: a plan of a billion costs nothing."""
+    """Episodes distributed over some scenes in turn, each made on demand: a plan of a billion takes no memory."""
 
     def __init__(self, choices: Choices, places: Sequence[NamedScene], numbers: range, *, seed: int) -> None:
         self._choices, self._places, self._numbers, self._seed = choices, places, numbers, seed
@@ -362,7 +362,7 @@ class SampledJobs(Sequence[Job]):
 
     @property
     def one_round(self) -> SampledJobs:
-        """The first episodes, one in each scene; all others differ from these in nothing but number and seed."""
+        """First episodes, one in each scene; all others differ from these only in number and seed."""
         return self[: len(self._places)]
 
 

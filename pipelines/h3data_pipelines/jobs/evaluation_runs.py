@@ -124,7 +124,7 @@ class EvaluationRequest:
 
     @property
     def seeds(self) -> dict[str, tuple[str, ...]]:
-        """Policies that are one row of the table, as they are recorded, by the pattern that names them."""
+        """Policies that share one row of the table, by their recorded names, for each pattern."""
         from sim_kinematic.policies.learned import in_light, stamped
 
         found = {name: files_of(name) for name in self.policies}
@@ -136,7 +136,7 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``unseen_partners``, learned ones as those of partners are recorded, by the digest of their weights."""
+        """Names in ``unseen_partners``; learned ones as recorded for partners, by the digest of their weights."""
         from sim_kinematic.policies.learned import stamped
 
         return tuple(dict.fromkeys(map(stamped, self.unseen_partners)))

@@ -1,4 +1,4 @@
-"""Episodes that raised: the job goes on, and their place in the dataset says why."""
+"""Episodes that raised an error: the job continues, and their place in the dataset states the reason."""
 
 from __future__ import annotations
 

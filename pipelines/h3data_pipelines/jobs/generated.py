@@ -1,4 +1,4 @@
-"""The episodes of a generated dataset: what they add up to, and whether other options would make them."""
+"""Episodes of a generated dataset: their totals, and whether other options would give the same ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Generated:
 
 
 class WrittenDataset:
-    """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
+    """Episodes of a dataset, read once, with their totals. It also writes requested logs that are missing."""
 
     def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:
         if isinstance(share_in, RemotePath):

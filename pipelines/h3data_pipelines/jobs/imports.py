@@ -1,4 +1,4 @@
-"""Imports recordings of other programs, file by file, and tells what became of each."""
+"""Import of recordings of other programs, file by file, with a result for each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 @dataclass(frozen=True)
 class ImportJob:
-    """File to import and the recording that it becomes."""
+    """File to import and the recording to write."""
 
     source: Path
     target: Path

@@ -18,7 +18,7 @@ MOST_COLUMNS = 30
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyTable:
-    """Policies by metrics."""
+    """Table of policies by metrics."""
 
     profile: Profile
     cells: dict[tuple[str, str], Summary]

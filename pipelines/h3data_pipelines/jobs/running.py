@@ -1,4 +1,4 @@
-"""Episodes as shards: played, and filmed on request; what raises is listed, not fatal."""
+"""Episodes as shards: played, and rendered on request; errors are listed and do not stop the job."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class VideoJob:
 
 @dataclass(frozen=True)
 class RenderedVideo:
-    """Result of a shard: one episode with its videos, wherever it was made."""
+    """Result of a shard: one episode with its videos."""
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()

@@ -1,4 +1,4 @@
-"""Judges learned skills one by one: each of them in the same episodes of rearrangement, with the robot alone."""
+"""Evaluation of learned skills one by one, each in the same episodes of rearrangement, with the robot alone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SkillJob:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillEvaluationResult:
-    """The outcomes of all episodes."""
+    """Outcomes of all episodes."""
 
     skills: str
     rows: tuple[dict[str, Any], ...]

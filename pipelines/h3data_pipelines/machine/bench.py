@@ -1,4 +1,4 @@
-"""``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
+"""Command ``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that h3data keeps on disk to be faster the next time, their sizes, and their removal: ``h3data cache``."""
+"""Command ``h3data cache``: files on disk that make later runs faster, their sizes, and their removal."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class CacheList:
 
 @dataclass(frozen=True)
 class CacheClear:
-    """Delete caches. Nothing is lost: what they hold is made again when it is needed, which takes time.
+    """Delete caches. Their contents are made again when they are needed, which takes time.
 
     Examples:
         h3data cache clear light freespace

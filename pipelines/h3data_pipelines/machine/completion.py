@@ -1,4 +1,4 @@
-"""``h3data completion``: lets a shell complete commands, options and their choices."""
+"""Command ``h3data completion``: completion of commands, options and choices in a shell."""
 
 from __future__ import annotations
 

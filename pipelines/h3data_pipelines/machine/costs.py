@@ -1,4 +1,4 @@
-"""Cost of a job on this machine, in CPU time: the figures from which `h3data plan` reckons."""
+"""Cost of a job on this machine, in CPU time, for the forecasts of `h3data plan`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _START = "import numba, scipy, pyarrow; from h3data_pipelines.jobs.running impor
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """CPU seconds on one core."""
+    """Costs of the parts of a job, in CPU seconds on one core."""
 
     task: str
     start_s: float

@@ -1,4 +1,4 @@
-"""``h3data plan``: how long a job takes on many cores, what it costs, and what holds it up."""
+"""Command ``h3data plan``: duration and cost of a job on many cores, and its bottleneck."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job on many cores, played out shard by shard from measured costs: when it ends, and what holds it up."""
+"""Simulation of a job on many cores, shard by shard from measured costs: its end, and its bottleneck."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_SHARDS = 200_000
 
 @dataclass(frozen=True, kw_only=True)
 class Workload:
-    """Shards of equal cost, apart from the first sight of a home."""
+    """Shards of equal cost, except for the first use of a home."""
 
     shards: int
     shard_s: float

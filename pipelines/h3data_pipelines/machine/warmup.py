@@ -1,4 +1,4 @@
-"""``h3data warmup``: compiles all kernels ahead, in parallel."""
+"""Command ``h3data warmup``, which compiles all kernels in advance, in parallel."""
 
 from __future__ import annotations
 

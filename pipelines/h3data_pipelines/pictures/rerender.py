@@ -1,4 +1,4 @@
-"""``h3data rerender``: videos and images of recordings from any camera."""
+"""Command ``h3data rerender``: videos and images of recordings from any camera."""
 
 from __future__ import annotations
 

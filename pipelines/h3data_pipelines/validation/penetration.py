@@ -1,4 +1,4 @@
-"""Depths at which bodies of a recording are in the home: FCL on every part of every agent, and on what it holds.
+"""Depths of bodies of a recording inside the home: FCL on every part of every agent, and on what it holds.
 
 The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
 runs. This looks at them afterwards.
@@ -44,7 +44,7 @@ HELD = "held object"
 
 
 class Penetration(NamedTuple):
-    """Depth of one agent in the static things of its home."""
+    """Depth of one agent inside the static things of its home."""
 
     agent: int
     parts: tuple[str, ...]

@@ -67,7 +67,7 @@ _HEAD = JOINT_INDEX["head"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Fault that was found."""
+    """A fault in a recording."""
 
     check: Check
     severity: Severity

@@ -1,4 +1,4 @@
-"""``h3data serve``: a policy of ours as a server that others ask over a websocket."""
+"""Command ``h3data serve``, which serves one of our policies over a websocket."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Definitions of the profile ``field``: what papers on social navigation report beside Habitat's own numbers."""
+"""Definitions of the profile ``field``: metrics of papers on social navigation beyond Habitat's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The goal of a robot's episode, and when it is reached: a point of the floor, or an agent."""
+"""Goal of a robot's episode, and when it is reached: a point of the floor, or an agent."""
 
 from __future__ import annotations
 

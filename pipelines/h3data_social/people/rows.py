@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """First row of each of E episodes, none of which is empty."""
+    """Rows of E episodes, none of which is empty, by the first row of each."""
 
     starts: NDArray[np.int64]
     """First row of each episode [E]."""
@@ -34,7 +34,7 @@ class Rows:
 
     @property
     def ends(self) -> NDArray[np.int64]:
-        """Row behind each episode's last one [E]."""
+        """Index after the last row of each episode [E]."""
         return self.starts + self.counts
 
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:

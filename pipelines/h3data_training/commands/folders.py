@@ -1,4 +1,4 @@
-"""The folder of a training run: claimed, with room for its checkpoints, and emptied of an earlier run by ``--force``."""
+"""Folder of a training run: reserved, checked for space, and cleared of an earlier run by ``--force``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data train rearrange``: trains the upper layer of rearrangement with a population of partners.
+"""Command ``h3data train rearrange``: training of the upper layer of rearrangement with a population of partners.
 
 Episodes are played on CPU cores, or in batched worlds on a device.
 """

@@ -1,4 +1,4 @@
-"""``h3data train``: trains policies of social navigation, a robot's skills, and rearrangement.
+"""Command ``h3data train``: training of policies of social navigation, a robot's skills, and rearrangement.
 
 Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
 with populations of partners, on CPU cores or in batched worlds on a device.

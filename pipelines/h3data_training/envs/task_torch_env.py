@@ -1,4 +1,4 @@
-"""A task of one robot and one scripted person for training on a device: actions, observations and rewards are tensors there."""
+"""Training environment on a device for a task of one robot and one scripted person, with tensors in and out."""
 
 from __future__ import annotations
 

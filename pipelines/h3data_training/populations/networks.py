@@ -1,4 +1,4 @@
-"""The chooser in PyTorch, with a critic that only training needs.
+"""Chooser in PyTorch, with a critic that only training needs.
 
 `sim_kinematic.policies.choosers.chooser_network` is the same policy in NumPy.
 """
@@ -39,7 +39,7 @@ def guessed_columns(agent: str, objects: int) -> list[int]:
 
 
 class Chooser(nn.Module):
-    """A recurrent actor, a critic that observes the identity of the partner, and everything else that only training needs."""
+    """A recurrent actor, a critic that observes the identity of the partner, and the other parts that only training needs."""
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Training episodes, played whole by processes that hold the homes: what learners saw, chose and gained.
+"""Training episodes, played whole by processes with homes in memory: observations, choices and rewards of learners.
 
 An episode follows from the weights, the seed and its number alone. So it does not matter which process plays it, and one that
 was lost is played again.
@@ -249,7 +249,7 @@ class Players:
 
     @property
     def homes(self) -> int:
-        """Number of homes that the episodes are in."""
+        """Number of homes of the episodes."""
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:

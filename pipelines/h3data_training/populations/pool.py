@@ -1,4 +1,4 @@
-"""The episodes that a run plays again and again, drawn by several processes and kept in a file."""
+"""Episodes that a run plays again and again, sampled by several processes and stored in a file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Pool(msgspec.Struct, frozen=True, kw_only=True):
-    """All episodes of a file, and what they were drawn by."""
+    """All episodes of a file, and the settings by which they were sampled."""
 
     format: str
     drawn_by: dict[str, Any]

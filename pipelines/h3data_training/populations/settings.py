@@ -158,7 +158,7 @@ class PopulationSettings:
 
     @property
     def walks(self) -> tuple[str, ...]:
-        """Walks that take turns in a home."""
+        """Gaits that take turns in a home."""
         return tuple(LONGEST) if self.walk == BOTH else (self.walk,)
 
     @property
@@ -170,7 +170,7 @@ class PopulationSettings:
 
     @property
     def learners(self) -> tuple[str, ...]:
-        """Names of those who learn: the robot, and partners that are not planners."""
+        """Names of the learners: the robot, and partners that are not planners."""
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:

@@ -74,7 +74,7 @@ class TensorPlayers:
 
     @property
     def homes(self) -> int:
-        """Number of homes that the episodes are in."""
+        """Number of homes of the episodes."""
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:

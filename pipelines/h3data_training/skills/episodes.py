@@ -1,4 +1,4 @@
-"""Starts for training a skill in many homes, made by several processes and kept in a file."""
+"""Starts for training a skill in many homes, made by several processes and stored in a file."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class SkillSettings(Settings):
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Names of the pictures that the policy sees: the depth of the arm's camera."""
+        """Names of the pictures that the policy observes: the depth of the arm's camera."""
         return ("arm_depth",)
 
     @property

@@ -36,7 +36,7 @@ NEAREST_M = 0.6
 
 
 class TensorCameras:
-    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in where the two are."""
+    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in the two places."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Table of the person's walking cycle on a device: parts that are fixed to the body, by phase and blend."""
+"""Table of the person's walking cycle on a device: parts fixed to the body, by phase and blend."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ sets off or stops, the posture does, where a foot comes down (`h3data.bodies.peo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkingCycle:
-    """Clip of a walking person as tables, which have a row for both ends of each part of the cycle, by blend."""
+    """Clip of a walking person as tables, with a row for both ends of each part of the cycle, by blend."""
 
     human: Humanoid
     clip: int

@@ -1,4 +1,4 @@
-"""Bank of sampled episodes of a task of one robot and one person who keeps to a script.
+"""Bank of sampled episodes of a task of one robot and one scripted person.
 
 Everything that needs a search (starts clear of furniture, shortest paths between random goals) is computed once on the
 host, so that steps on a device only look it up.
@@ -30,7 +30,7 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeBank:
-    """Bank of N episodes: starts, and all way points that the person can reach in the time available."""
+    """Bank of N episodes: starts, and all waypoints that the person can reach in the time available."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the scenes."""

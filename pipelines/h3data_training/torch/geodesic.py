@@ -1,4 +1,4 @@
-"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
+"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can compute them in every step.
 
 Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
 (`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished

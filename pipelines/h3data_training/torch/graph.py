@@ -1,4 +1,4 @@
-"""Steps as few kernels, and as CUDA graphs."""
+"""Compilation of steps into few kernels and CUDA graphs."""
 
 from __future__ import annotations
 

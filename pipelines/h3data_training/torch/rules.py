@@ -1,4 +1,4 @@
-"""Rules of tasks that hold on a device. Other rules are refused by their name: no rule is silently ignored."""
+"""Rules of tasks that a device supports. Other rules are refused by name: no rule is silently ignored."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Names = Mapping[type, tuple[str, ...]]
 
 
 class Held(NamedTuple):
-    """The rules of a task that hold on a device."""
+    """Rules of a task that a device supports."""
 
     like: Any
     """Rules that a device supports; other rules may differ from them only in the fields below."""

@@ -227,7 +227,7 @@ def drive_base(
 
 
 class Velocities(NamedTuple):
-    """Commands [W] in SI units; no ``lateral`` where the base cannot."""
+    """Commands [W] in SI units; without ``lateral`` if the base cannot move sideways."""
 
     speed: Tensor
     lateral: Tensor | None

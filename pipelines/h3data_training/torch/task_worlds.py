@@ -202,7 +202,7 @@ class TensorRollout:
 
 
 class TaskTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,
@@ -262,7 +262,7 @@ class TaskTensors:
 
     @property
     def action_width(self) -> int:
-        """Numbers of an action: 2, or 3 where the robot can move sideways."""
+        """Number of values of an action: 2, or 3 if the robot can move sideways."""
         return 3 if self.spec.robot.max_lateral_mps else 2
 
     def place_of(self, play: Play) -> Tensor:

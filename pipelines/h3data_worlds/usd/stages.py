@@ -1,4 +1,4 @@
-"""Stages of USD files: opened without side effects, with all that is missing or faulty in them named."""
+"""Stages of USD files: opened without side effects, with a list of everything missing or faulty in them."""
 
 from __future__ import annotations
 

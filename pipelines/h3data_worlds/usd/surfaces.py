@@ -1,4 +1,4 @@
-"""Surfaces of a stage: prims that are seen as meshes with colours and textures.
+"""Surfaces of a stage: visible prims as meshes with colours and textures.
 
 Read are polygons (the control cage of subdivided ones), boxes, balls, cylinders, cones, capsules and planes;
 `UsdPreviewSurface` (colour, image, vertex colours) and the base colour and image of Omniverse's materials.
@@ -40,7 +40,7 @@ class Look:
 
 @dataclass(kw_only=True, eq=False)
 class SurfaceReader:
-    """Reads the surfaces of one stage; materials and images once."""
+    """Reader of the surfaces of one stage; it reads materials and images once."""
 
     open: OpenStage
     ours: bool = False
@@ -75,7 +75,7 @@ class SurfaceReader:
 
     @property
     def files(self) -> set[str]:
-        """Images that were read."""
+        """Image files that were read."""
         return set(self._images)
 
     # --- polygons -------------------------------------------------------------------------------------------------------

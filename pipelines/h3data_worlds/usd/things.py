@@ -1,4 +1,4 @@
-"""The prims of a stage sorted into things: which surfaces and colliders belong together, and which move as one body."""
+"""Grouping of the prims of a stage into things: which surfaces and colliders belong together, and which move as one body."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def label_of(prim: Any) -> str:
 
 
 class ThingFinder:
-    """Walks a stage once, from parents to children."""
+    """Walk over a stage, once, from parents to children."""
 
     def __init__(self, opened: OpenStage) -> None:
         self.opened = opened

@@ -1,4 +1,4 @@
-"""A scene as a USD stage: +Y up, metres, one prim per instance, which references the prim of its asset.
+"""Writing of a scene as a USD stage: +Y up, metres, one prim per instance, which references the prim of its asset.
 
 Meshes carry vertex colours and UsdPreviewSurface materials; collision shapes are guide prims with `UsdPhysics.CollisionAPI`;
 doors and drawers are bodies with revolute and prismatic joints; categories are labels of `UsdSemantics`. Data without a place

@@ -1,4 +1,4 @@
-"""Commands for a person who is driven from outside, step by step: by a keyboard, a headset, a learner."""
+"""Commands for a person who is driven from outside, step by step: by a keyboard, a headset, or a policy in training."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Drop:
-    """Command to let go of the held object, which at once lies on whatever is below it."""
+    """Command to let go of the held object, which then lies on the surface below it."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Open:
 
 @dataclass(frozen=True)
 class Close:
-    """Command that closes a door or a drawer."""
+    """Command to close a door or a drawer."""
 
     joint: str | int
     """Door or drawer to close, as for `Open`."""
@@ -78,7 +78,7 @@ class Close:
 
 @dataclass(frozen=True)
 class Sit:
-    """Walks to the nearest free seat within 3 m and sits down; any other command gets up again."""
+    """Command to walk to the nearest free seat within 3 m and sit down; any other command makes the person get up again."""
 
     lies: bool = False
     """True if the person then lies down, on a bed or sofa that is large enough."""
@@ -105,7 +105,7 @@ class PersonCommand:
 
     @property
     def stands(self) -> bool:
-        """Return whether the command only keeps the person standing: a running skill goes on under it."""
+        """Return whether the command only keeps the person standing, so that a running skill continues."""
         return self == STAND
 
 

@@ -1,4 +1,4 @@
-"""Room for an object that is put down: free space, support, and the place to which it falls."""
+"""Room for putting down an object: free space, support, and the place to which it falls."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ROOM = ObjectRoomSpec()
 
 
 class ObjectRoom:
-    """The static things of a scene and its other movable ones."""
+    """Static things of a scene and its movable ones, for tests of free room."""
 
     def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
         """Create a room for the objects of a task; ``names`` are theirs, in the order of their poses [K, 7]."""

@@ -40,7 +40,7 @@ from sim_kinematic.motion.state import HumanState
 
 @dataclass(frozen=True)
 class DrivenPersonSpec:
-    """Limits of a person whom somebody drives."""
+    """Limits of a person who is driven from outside."""
 
     hand_steps: int = 8
     """Number of steps in which an arm moves from its swing to its target, and back."""
@@ -63,7 +63,7 @@ DRIVEN = DrivenPersonSpec()
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
-    """Person that follows `PersonCommand`s. Until the first command, every skill is that of a `PersonActor`."""
+    """Person that follows `PersonCommand`s. Until the first command, all skills are those of a `PersonActor`."""
 
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""

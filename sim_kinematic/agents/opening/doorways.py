@@ -1,4 +1,4 @@
-"""Doors on the way: the floor of a home whose doors and drawers move, and which door to open first to get somewhere."""
+"""Closed doors on paths: the floor of a home whose doors and drawers move, and the door to open first to reach a place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Doors and drawers of one world: positions, what lies in them, what stands before them."""
+"""Doors and drawers of one world: positions, contents, and the room in front of them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ OPENING = OpeningSpec()
 
 @dataclass(eq=False)
 class ArticulatedParts:
-    """The joints of a scene, shared by all actors; positions are in ``objects.state``."""
+    """Joints of a scene, shared by all actors; positions are in ``objects.state``."""
 
     scene: Scene
     objects: Objects

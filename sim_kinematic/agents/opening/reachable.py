@@ -17,7 +17,7 @@ from sim_kinematic.motion.state import WorldState
 
 
 class ReachQuery(NamedTuple):
-    """Place to reach, with the home as it is when hands get there."""
+    """Place to reach, with the doors and drawers as they are at that time."""
 
     scene: Scene
     """Home with the doors and drawers around the place open."""

@@ -40,7 +40,7 @@ class SubGoal(NamedTuple):
 
 @dataclass(eq=False)
 class SubGoals:
-    """Sub-goals of one agent: paths to where it takes each object and puts it down."""
+    """Sub-goals of one agent: paths to the initial place and the goal of each object."""
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
@@ -279,7 +279,7 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
 
 
 class DiscContacts(GivingWay):
-    """Contact rule of agents that give way to nobody and touch where their discs do."""
+    """Contact rule of agents that give way to nobody and touch if their discs do."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
         """Return False: with oracle skills no agent gives way to another."""

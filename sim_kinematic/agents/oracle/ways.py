@@ -1,4 +1,4 @@
-"""Shortest paths to fixed places as tables: where to go first from each cell of the floor, and from each corner of the paths.
+"""Shortest paths to fixed places as tables: the first point from each cell of the floor, and from each corner of the paths.
 
 A path from anywhere is then a few look-ups, which a GPU does as well as a CPU: to the corner that the cell names, from corner
 to corner, to the nearest place. All of it is exact but for the first leg, which is chosen for the middle of a cell
@@ -32,7 +32,7 @@ free one up to `SPREAD` cells away."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FloorCells:
-    """Cells of a floor, and the corners of paths that are seen from all of a cell."""
+    """Cells of a floor, and the corners of paths that are visible from the whole cell."""
 
     origin: Array
     """Lower corner of the first cell (x, z), [2] [m]."""
@@ -99,7 +99,7 @@ class PathTable:
 
     @property
     def ends(self) -> Array:
-        """Places that paths may end at, [S, 2]."""
+        """Places at the ends of paths, [S, 2]."""
         return self.points[self.corners :]
 
     def cell(self, xz: ArrayLike) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Paths of a robot's arm: checks that its hand gets from a stand to a point without a wall or furniture between them.
+"""Room for a robot's arm: tests whether its hand gets from a stand to a point without walls or furniture in between.
 
 Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
 point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.

@@ -1,4 +1,4 @@
-"""Driving of a robot with an arm: around agents, out of narrow places, with what it holds."""
+"""Driving of a robot with an arm: around agents, out of narrow places, with a held object."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FACING_RAD = 0.04
 
 @dataclass(eq=False)
 class RobotDriver:
-    """Base class of actors of robots with an arm: how the robot drives. It moves ``objects.state``."""
+    """Base class of actors of robots with an arm, for driving. It changes ``objects.state``."""
 
     robot: Robot
     free: FreeSpace
@@ -108,7 +108,7 @@ class RobotDriver:
 
     @property
     def agreed(self) -> bool:
-        """Returns whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+        """Return whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:
@@ -127,7 +127,7 @@ class RobotDriver:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Returns the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
+        """Return the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
         if callable(self._path):
             self._path = self._path()
         return self._path
@@ -164,7 +164,7 @@ class RobotDriver:
 
     @property
     def hand_pose(self) -> Array:
-        """World pose7 of the point at which the hand holds things."""
+        """Pose (pose7) in the world of the point at which the hand holds things."""
         frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
         out = pose_from_matrix(frame)
         out[:3] += frame[:3, :3] @ self.robot.hand_position

@@ -1,4 +1,4 @@
-"""Postures that bring a robot's hand to something in the way in which it picks and places: pitched, not rolled.
+"""Postures that bring a robot's hand to an object, pitched and not rolled, for picking and placing.
 
 An arm of six joints or more takes the whole orientation. One with fewer, such as a lift with a sliding arm and a wrist, leaves
 out the yaw: what it holds turns about the vertical, and stands upright all the same.
@@ -21,7 +21,7 @@ from h3data.geometry import IDENTITY_POSE, Array, quat_from_matrix, quat_rotate
 
 @dataclass(frozen=True)
 class HandReachSpec:
-    """Directions, distances and heights in which robots' hands are tried."""
+    """Directions, distances and heights in which reaching is tested."""
 
     hand_pitch_rad: float = -0.6
     """Angle by which a robot's hand points below the horizon when it picks and places [rad]. It never changes, so an

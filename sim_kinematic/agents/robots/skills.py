@@ -173,7 +173,7 @@ class RobotActor(RobotDriver):
 
     @property
     def resting_point(self) -> Array:
-        """Returns the place of the hand at rest, in the world [3]."""
+        """Return the place of the hand at rest, in the world [3]."""
         at = self._hand_in_root(self.robot.rest)
         return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 

@@ -170,12 +170,12 @@ class SkillPolicyNetwork(CardedNetwork):
 
     @property
     def outputs(self) -> int:
-        """Number of choices."""
+        """Number of choices of the network."""
         return SKILLS_WITH_OBJECT * self.card.objects + rest_count(self.card.agent)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the network's behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
         if self.sees:
@@ -186,7 +186,7 @@ class SkillPolicyNetwork(CardedNetwork):
 
     @cached_property
     def offered(self) -> NDArray[np.bool_]:
-        """Return which choices the policy has at all, [C]."""
+        """Return which choices are available to the policy in general, [C]."""
         found = np.ones(self.outputs, np.bool_)
         if not self.card.primitives:
             found[SKILLS_WITH_OBJECT * self.card.objects + 1 :] = False  # after ``wait``

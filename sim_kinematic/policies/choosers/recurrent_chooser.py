@@ -1,4 +1,4 @@
-"""Policy that plays a `SkillPolicyNetwork`: which actions are allowed, when it chooses again, and which one it samples."""
+"""Policy that plays a `SkillPolicyNetwork`: allowed actions, times of choices, and sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names of learned skills and their meaning: files of weights, folders of them, and those that come with the package."""
+"""Names of learned skills and their meaning: files of weights, folders of them, and those included in the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Play of a learned skill: a network moves a robot's base, arm and hand until the skill succeeds or fails."""
+"""Execution of a learned skill: a network moves a robot's base, arm and hand until the skill succeeds or fails."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class NetworkSkill:
 
     @property
     def skills(self) -> tuple[str, ...]:
-        """Skills of the upper layer that the network is used for."""
+        """Names of the skills of the upper layer that use the network."""
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:

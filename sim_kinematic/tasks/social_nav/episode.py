@@ -43,7 +43,7 @@ class Starts:
 
     @property
     def places(self) -> Array:
-        """``(x, z, heading)`` of robot and person, [2, 3]."""
+        """Places ``(x, z, heading)`` of robot and person, [2, 3]."""
         return np.array([[*self.robot_xz, self.robot_heading], [*self.human_xz, self.human_heading]])
 
     @classmethod

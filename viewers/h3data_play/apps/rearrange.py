@@ -1,4 +1,4 @@
-"""Rearrangement: a person, or somebody who steers the robot, brings things to their places."""
+"""Rearrangement: a person, or a player who steers the robot, brings things to their places."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim_kinematic.tasks.task import Task
 
 
 class RearrangeApp(App):
-    """App in which all objects are brought to their goals, together with the other agents."""
+    """App in which players and other agents bring all objects to their goals."""
 
     task: ClassVar[str | type[Task]] = Rearrange
     # as in the paper's study: contact is counted, it does not end the episode

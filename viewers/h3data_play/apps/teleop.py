@@ -1,4 +1,4 @@
-"""Tele-operation: somebody drives the robot, takes things with its arm and brings them to their places."""
+"""Tele-operation: a player drives the robot, takes things with its arm and brings them to their places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tutorial: walk to a mark, look at a thing, take it, bring it to its place. Nobody else is at home."""
+"""Tutorial: walk to a mark, look at a thing, take it, bring it to its place. Nobody else is at home."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ HOW: Mapping[int, Mapping[str, str]] = {
 
 
 class TutorialApp(RearrangeApp):
-    """Passed, with the end ``success``, when all steps are done."""
+    """App of the tutorial, which is passed, with the end ``success``, when all steps are done."""
 
     rules: ClassVar[Mapping[str, Any]] = {**RearrangeApp.rules, "objects": 1, "max_steps": 18_000}
     partner: ClassVar[str | None] = "solo"
@@ -126,7 +126,7 @@ class TutorialApp(RearrangeApp):
 
     @property
     def thing(self) -> str:
-        """The word for the object."""
+        """Word for the object."""
         return self.label(self.session.episode.targets[0].name)  # type: ignore[attr-defined]
 
     def _go(self, number: int) -> str:

@@ -1,4 +1,4 @@
-"""``h3data play``: people play in a browser, live, and what they do is recorded."""
+"""Command ``h3data play``: people play live in a browser, and their actions are recorded."""
 
 from __future__ import annotations
 

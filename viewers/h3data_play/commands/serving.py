@@ -1,4 +1,4 @@
-"""The server of live play as a process of its own: its options on the command line, how it is started and heard."""
+"""Server of live play as a process of its own: its options on the command line, its start and its messages."""
 
 from __future__ import annotations
 

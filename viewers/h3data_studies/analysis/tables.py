@@ -1,4 +1,4 @@
-"""The study with people: estimated means of a mixed model and their pairwise contrasts, the paper's beside them."""
+"""Tables of a study with people: estimated means of a mixed model and their pairwise contrasts, beside the paper's."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ MOST_KEPT = 20_000
 
 @dataclass
 class Thing:
-    """An object of the state."""
+    """Object in a state message."""
 
     held: int = -1
     """Agent that holds the thing; -1: none."""
@@ -185,10 +185,10 @@ class Client:
 
     @property
     def ack(self) -> int:
-        """Number of the last message that has acted."""
+        """Number of the last message that has taken effect."""
         return self.head[5]
 
     @property
     def rtt_ms(self) -> float:
-        """Time from a message to the state that has it, the last one [ms]; 0: none yet."""
+        """Time from the last acknowledged message to the state that reflects it [ms]; 0: none yet."""
         return 1e3 * self.delays[-1] if self.delays else 0.0

@@ -100,7 +100,7 @@ class ScriptedParticipant(Client):
 
     @property
     def stage(self) -> dict[str, Any]:
-        """Returns the next stage."""
+        """Return the next stage."""
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
@@ -292,7 +292,7 @@ class ScriptedParticipant(Client):
 
     @property
     def over(self) -> bool:
-        """Returns whether the episode has ended."""
+        """Return whether the episode has ended."""
         return bool(self.flags & ENDED or self.heard("over"))
 
     @property
@@ -302,7 +302,7 @@ class ScriptedParticipant(Client):
 
     @property
     def mine(self) -> int:
-        """The thing that the bot holds; -1: none."""
+        """Index of the thing that the bot holds; -1: none."""
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
 
     def _barrier(self, k: int) -> int:

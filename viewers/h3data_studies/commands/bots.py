@@ -1,4 +1,4 @@
-"""``h3data study bots``: scripted participants play a whole study, to try it out and to see how large it is."""
+"""Command ``h3data study bots``: scripted participants play a whole study, to test it and to measure its size."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str,
 
 @dataclass
 class Crowd:
-    """Scripted participants, some at once."""
+    """Scripted participants, several at a time."""
 
     count: int
     at_once: int
@@ -200,7 +200,7 @@ class Crowd:
 
 
 class Late:
-    """Listens to the server while the bots play: steps that it was too slow for, workers that were lost."""
+    """Listener to the server's reports while the bots play: late steps, lost workers."""
 
     def __init__(self, reports: Any) -> None:
         self.slipped = 0

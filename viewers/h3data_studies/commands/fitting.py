@@ -1,4 +1,4 @@
-"""``h3data study``: the analysis of studies with people."""
+"""Command ``h3data study fit``: the analysis of studies with people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data study data`` and ``h3data study pay``: what participants get: their own data, completion codes, bonuses."""
+"""Commands ``h3data study data`` and ``h3data study pay``: participants' data, completion codes, bonuses."""
 
 from __future__ import annotations
 

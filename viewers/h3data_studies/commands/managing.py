@@ -1,4 +1,4 @@
-"""``h3data study status`` and ``h3data study forget``: how a study is going, and the deletion of what somebody has left."""
+"""Commands ``h3data study status`` and ``h3data study forget``: the state of a study, and deletion of a participant's data."""
 
 from __future__ import annotations
 

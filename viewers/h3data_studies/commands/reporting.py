@@ -1,4 +1,4 @@
-"""``h3data study report`` and ``h3data study compare``: what a study has found."""
+"""Commands ``h3data study report`` and ``h3data study compare``: results of a study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data study new`` and ``h3data study run``: a study file, and its server."""
+"""Commands ``h3data study new`` and ``h3data study run``: a study file, and its server."""
 
 from __future__ import annotations
 

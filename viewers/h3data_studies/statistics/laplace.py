@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
-    """The most likely random effects for given deviations (and coefficients), and the deviance there."""
+    """Most likely random effects for given deviations (and coefficients), and their deviance."""
 
     deviance: float
     """Deviance: -2 log-likelihood; infinite if the iteration failed."""
@@ -42,7 +42,7 @@ class Mode:
 
 
 class LaplaceModel:
-    """Laplace's approximation for one design. Each mode starts from the previous one, which an optimiser keeps near.
+    """Laplace's approximation for one design. Each search starts from the previous mode.
 
     Nested factors are eliminated from the normal equations in closed form (`NestedElimination`); what remains is dense and
     has the size of the crossed factors and the coefficients.

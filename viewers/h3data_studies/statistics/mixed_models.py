@@ -70,7 +70,7 @@ class GlmmFit:
 
     @property
     def sound(self) -> bool:
-        """Returns whether standard errors and p values can be relied on."""
+        """Return whether standard errors and p values can be relied on."""
         return self.converged and not self.overdispersed and not self.penalised
 
     @property

@@ -74,7 +74,7 @@ class MarginalMeans:
 
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """``first - second`` of two estimated means."""
+    """Difference ``first - second`` of two estimated means."""
 
     first: str
     second: str

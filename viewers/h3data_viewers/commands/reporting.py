@@ -1,4 +1,4 @@
-"""``h3data report``: a self-contained HTML report on datasets, with its tables as Markdown and LaTeX on request."""
+"""Command ``h3data report``: a self-contained HTML report on datasets, with tables as Markdown and LaTeX on request."""
 
 from __future__ import annotations
 

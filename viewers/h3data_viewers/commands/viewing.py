@@ -1,4 +1,4 @@
-"""``h3data view``: a recording as a Rerun file, as an HTML file that plays from disk, or as a strip of pictures.
+"""Command ``h3data view``: a recording as a Rerun file, as an HTML file that plays from disk, or as a strip of pictures.
 
 A Rerun file has a layout and may show two recordings side by side.
 """

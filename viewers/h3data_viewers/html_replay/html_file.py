@@ -1,4 +1,4 @@
-"""`write_html`: a recording as one HTML file that plays from disk.
+"""Writer of a recording as one HTML file that plays from disk (`write_html`).
 
 The file holds the page (built from ``h3data_play/web/src/replay``, the scene code of live play), the home as GLB and the
 states, all of it compressed in one block of Base64. Names and texts of the recording are inside that block: the page shows them

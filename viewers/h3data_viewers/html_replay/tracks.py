@@ -1,4 +1,4 @@
-"""Motion of everything in a replay, in the form in which the page poses it.
+"""Motion of everything in a replay, in the form that the page uses.
 
 Robots, doors and drawers are posed by joints, people by bones, and everything else by poses.
 """

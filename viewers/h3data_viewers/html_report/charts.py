@@ -1,4 +1,4 @@
-"""The charts of a report: estimates beside the paper's, distributions, distance over time, learning curves."""
+"""Charts of a report: estimates beside the paper's, distributions, distance over time, learning curves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Interval = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTables:
-    """Tables of a report about the episodes of one task that participants did under conditions."""
+    """Tables of a report about episodes of participants of a study, for one task."""
 
     tables: tuple[Table, ...] = ()
     charts: Mapping[str, Sequence[Svg]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""One episode of a report: its metrics, what its recording says about itself, and a few kilobytes of its paths."""
+"""One episode of a report: its metrics, facts from its recording, and a few kilobytes of its paths."""
 
 from __future__ import annotations
 

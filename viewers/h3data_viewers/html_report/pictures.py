@@ -46,7 +46,7 @@ _QUALITY = 78
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A floor plan that drawings share, and where the world lies on it."""
+    """A floor plan for several drawings, and its place in the world."""
 
     key: str
     scene: str
@@ -195,7 +195,7 @@ def _scale_bar(svg: Svg, plan: Plan) -> None:
 # --- best and worst ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Highlight:
-    """Episode that is shown with key frames."""
+    """Episode with key frames."""
 
     place: int
     """Number of the episode's run."""

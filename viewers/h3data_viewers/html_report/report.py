@@ -59,7 +59,7 @@ SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_section
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """Report as it was written: its files and their contents."""
+    """A written report: its files and their contents."""
 
     title: str
     data: ReportData

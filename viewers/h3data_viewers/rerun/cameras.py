@@ -27,7 +27,7 @@ STILL_EVERY = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraFeed:
-    """A camera to show, with its track and its images."""
+    """A camera with its track and its images."""
 
     camera: Camera
     """Intrinsics and name."""

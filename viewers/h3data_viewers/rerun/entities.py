@@ -36,7 +36,7 @@ PATH_RADIUS_M, MARK_M = 0.025, 0.09
 
 
 class Drawable(Protocol):
-    """Mesh to show, such as a `h3data.replay.Drawable`."""
+    """Visible mesh, such as a `h3data.replay.Drawable`."""
 
     @property
     def name(self) -> str:
@@ -70,7 +70,7 @@ class Drawable(Protocol):
 
     @property
     def deformable(self) -> bool:
-        """Return whether its vertices change over time, as those of skinned bodies."""
+        """Return whether the vertices change over time, as those of skinned bodies do."""
         ...
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoggedRecording:
-    """Entity paths under which one recording was logged."""
+    """Entity paths of one recording."""
 
     label: str
     """Root of the recording's entities; empty if the file holds no other recording."""

@@ -1,4 +1,4 @@
-"""Colors of people: of skin with what is painted on it, of hair, eyes and cloth."""
+"""Colors of people: skin with the paint on it, hair, eyes and cloth."""
 
 from __future__ import annotations
 

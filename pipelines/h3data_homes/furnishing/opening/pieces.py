@@ -1,4 +1,4 @@
-"""The pieces that open: hollow bodies with shelves inside, and doors and drawers with joints.
+"""Pieces of furniture that open: hollow bodies with shelves inside, and doors and drawers with joints.
 
 Everything is given in the frame of the piece (`h3data_homes.furnishing.furniture`), closed: it looks like the piece that
 it stands for, and takes the same floor.

@@ -1,4 +1,4 @@
-"""A bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
+"""Bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
 
 from __future__ import annotations
 

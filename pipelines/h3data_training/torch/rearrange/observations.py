@@ -100,13 +100,13 @@ class View(NamedTuple):
 
     @property
     def known_paths(self) -> Paths:
-        """Shortest paths of both agents, which must have been looked up."""
+        """Shortest paths of both agents, which must have been computed."""
         assert self.paths is not None, "`observed` looks them up once for all observations"
         return self.paths
 
     @property
     def hands(self) -> Hands:
-        """State that hands change."""
+        """Objects, their holders and open parts, which hands change."""
         return self.play.hands
 
     @property
@@ -116,7 +116,7 @@ class View(NamedTuple):
 
     @property
     def other_before(self) -> Pose:
-        """The others before the last step."""
+        """State of the other agent before the last step."""
         return self._before(1 - self.agent)
 
     def _before(self, who: int) -> Pose:
@@ -149,12 +149,12 @@ class View(NamedTuple):
 
     @property
     def handles(self) -> Tensor:
-        """Handles of the doors and drawers that the agent may choose to open, at rest, [W, M, 3] [m]."""
+        """Handles of the doors and drawers that the agent may open, at rest, [W, M, 3] [m]."""
         return self.sim.tables.handles(self.play.episode)
 
     @property
     def open_parts(self) -> Tensor:
-        """True for those that stand open, bool [W, M]."""
+        """True for doors and drawers that are open, bool [W, M]."""
         return self.play.opened
 
     @property
@@ -169,7 +169,7 @@ class View(NamedTuple):
 
     @property
     def steps(self) -> Tensor:
-        """Steps since the episode began, [W]."""
+        """Number of steps since the episode began, [W]."""
         return self.play.steps
 
     def floor_y(self) -> Tensor:

@@ -1,4 +1,4 @@
-"""The part of a rollout that a task with things reads on a device, where its `begin` and `judge` are called with tensors."""
+"""Part of a rollout that tasks with objects read on a device, where their `begin` and `judge` are called with tensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim_kinematic.sensing.table import Pose
 
 
 class Things(NamedTuple):
-    """Agents of all worlds at one step, and who holds what."""
+    """Agents of all worlds at one step, and the holders of objects."""
 
     agents: tuple[Any, Any]
     """State of robots and people; each has ``xz`` and ``heading``."""
@@ -21,7 +21,7 @@ class Things(NamedTuple):
 
 
 class SkillWorld(NamedTuple):
-    """The part of a `sim_kinematic.world.World` that such a task reads."""
+    """Part of a `sim_kinematic.world.World` that tasks of agents with skills read on a device."""
 
     worlds: int
     state: Things

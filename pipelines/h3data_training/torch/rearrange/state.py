@@ -67,7 +67,7 @@ class SubGoal(NamedTuple):
 
 
 class Hands(NamedTuple):
-    """State that hands change in W worlds: objects with their holders, and what stands open (`Play`)."""
+    """Objects with their holders, and open parts, in W worlds (`Play`)."""
 
     objects: Tensor
     held_by: Tensor
@@ -155,7 +155,7 @@ class Play(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects with their holders, who moved or placed them, and what stands open."""
+        """Objects with their holders, the agents that moved or placed them, and open parts."""
         return Hands(self.objects, self.held_by, self.moved, self.placed_by, self.opened)
 
     def tensors(self) -> Iterator[Tensor]:

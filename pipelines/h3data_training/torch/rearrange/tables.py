@@ -1,4 +1,4 @@
-"""The bank of episodes on a device, and look-ups in it for W worlds."""
+"""Bank of episodes on a device, and look-ups in it for W worlds."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Tables:
 
 
 class Places(NamedTuple):
-    """Look-ups for W worlds; what a world has several of comes after its axis."""
+    """Look-ups for W worlds; further axes come after that of the worlds."""
 
     tables: Tables
     episode: Tensor

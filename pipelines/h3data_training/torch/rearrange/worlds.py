@@ -43,7 +43,7 @@ from sim_kinematic.tasks.skills.household import TRACK
 
 
 class RearrangeTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,

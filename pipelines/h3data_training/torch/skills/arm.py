@@ -1,4 +1,4 @@
-"""A robot's arm as tensors: joints that move by small steps, and where they bring the hand and all other links."""
+"""Arm of a robot as tensors: joints that move by small steps, and the resulting poses of the hand and all other links."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Joint:
 
 
 class Arm:
-    """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
+    """Links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
         """Copy the kinematics of a robot's arm to the device.

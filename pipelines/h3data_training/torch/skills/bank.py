@@ -23,7 +23,7 @@ COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "h
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillBank:
-    """N starts of one skill, all with as many objects."""
+    """N starts of one skill, all with the same number of objects."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the homes, for the robot's base."""

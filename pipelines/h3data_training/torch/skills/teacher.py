@@ -1,4 +1,4 @@
-"""Script that carries out the skills in W worlds, for learning policies to imitate at first.
+"""Script that carries out the skills in W worlds, which learning policies imitate at first.
 
 It knows the path, and a posture that reaches the target.
 """

@@ -122,7 +122,7 @@ class SkillContext(NamedTuple):
 
     @property
     def now(self) -> RobotTensors:
-        """State of the robots now."""
+        """Present state of the robots."""
         return self.play.robot
 
     @property
@@ -154,7 +154,7 @@ class SkillContext(NamedTuple):
 
 
 class SkillTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,
@@ -213,7 +213,7 @@ class SkillTensors:
 
     @property
     def action_width(self) -> int:
-        """Numbers of an action: base [2], for pick and place also arm [n] and grip [1]."""
+        """Number of values of an action: base [2], for pick and place also arm [n] and grip [1]."""
         return 2 if self.skill == "nav" else self.arm.count + 3
 
     @property
