@@ -56,12 +56,12 @@ Share = TypeVar("Share", float, NDArray[np.float64], Array)
 
 
 def smoothstep(share: Share) -> Share:
-    """Return the share of a way at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
+    """Return the share of a path at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
     return share * share * (3 - 2 * share)
 
 
 def minimum_jerk(share: Share) -> Share:
-    """Return the share of a way at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
+    """Return the share of a path at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
 
     It is the minimum-jerk profile of Flash and Hogan (1985).
     """

@@ -343,6 +343,6 @@ class RenamedFinder(PathFinder):
 
 
 def announce_moves() -> None:
-    """Make imports of old names say the new ones, in this process."""
+    """Make imports of old names fail with the new names, in this process."""
     if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
         sys.meta_path[:] = [RenamedFinder, *sys.meta_path, MovedFinder()]

@@ -53,7 +53,7 @@ def names_from_data() -> Iterator[None]:
 
 
 def come_from_data() -> bool:
-    """Return whether names come from a file now (`names_from_data`), and not from the user."""
+    """Return whether names come from a file at present (`names_from_data`), and not from the user."""
     return _FROM_DATA.get()
 
 

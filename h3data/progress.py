@@ -28,7 +28,7 @@ def is_quiet() -> bool:
 
 
 def say(line: str) -> None:
-    """Write a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
+    """Write a line to stderr, unless `is_quiet`; control characters of terminals are replaced."""
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()

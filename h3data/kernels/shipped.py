@@ -138,7 +138,7 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
 
 
 def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
-    """Keep what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
+    """Store what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
     if RECORD not in os.environ or dispatcher.py_func.__module__.split(".")[0] not in OURS:
         return
     name = file_name(dispatcher, kinds)

@@ -127,7 +127,7 @@ class GltfFile:
         ]
 
     def instances(self, index: int) -> NDArray[np.float64]:
-        """Return the matrices [N, 4, 4] in the node's frame at which it shows its mesh; one if it is not instanced."""
+        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame; one if it is not instanced."""
         where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
         record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
         found = {

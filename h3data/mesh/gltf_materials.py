@@ -44,7 +44,7 @@ class GltfMaterials:
         self._warned = False
 
     def look(self, index: object) -> Look:
-        """Return the look of ``materials[index]``."""
+        """Return the appearance of ``materials[index]``."""
         record = entry(self._document, "materials", index)
         assert isinstance(index, int)
         if index not in self._looks:

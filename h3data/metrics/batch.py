@@ -121,7 +121,7 @@ def measure_sources(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> Iterator[EpisodeMetrics | LeftOut]:
-    """Yield the metrics of each episode of datasets and logs in order, or the reason why there are none.
+    """Yield the metrics of each episode of datasets and logs in order, or the reason for failure.
 
     A chunk of episodes per worker is in memory.
     """

@@ -124,7 +124,7 @@ class EpisodeMetrics:
 
 
 def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """Return a sentence on recordings of one profile that do not say their task, and what else measures them.
+    """Return a sentence on recordings of one profile that do not state their task, and on profiles of other tasks.
 
     The text is empty without such recordings.
     """

@@ -115,7 +115,7 @@ class Profile:
         return self._measured(recording, notes, self._computed(recording, notes))
 
     def measure_many(self, recordings: Sequence[Recording]) -> list[EpisodeMetrics | UnmeasurableError]:
-        """Compute all metrics of the profile for several recordings, or the reason why there are none."""
+        """Compute all metrics of the profile for several recordings; for each that fails, the reason."""
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which

@@ -243,7 +243,7 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
 
 
 def readable(path: AnyPath) -> Path | pa.NativeFile:
-    """Return the file as pyarrow's readers take it: absolute, since they take a relative ``data:x`` for a URI."""
+    """Return the file in the form for pyarrow's readers: absolute, since they treat a relative ``data:x`` as a URI."""
     return path.open_input() if isinstance(path, RemotePath) else path.absolute()
 
 

@@ -39,7 +39,7 @@ class Engine(Protocol):
         ...
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Set the capsules that keep light from surfaces."""
+        """Set the capsules that block light from surfaces."""
         ...
 
     def poses(self, world: int) -> Poses:

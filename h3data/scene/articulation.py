@@ -142,7 +142,7 @@ def joint_names(scene: Scene) -> tuple[str, ...]:
 
 
 def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
-    """Return the scene with its joints at other positions: the same, but for the poses of what moves and the rest positions.
+    """Return the scene with its joints at other positions: poses of moving parts and rest positions differ.
 
     Args:
         scene: The scene.

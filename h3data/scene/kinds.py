@@ -65,7 +65,7 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
 
 
 def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up.
+    """Return the point at which a hand grasps a thing with this box [2, 3] [m], +Y up.
 
     This is the middle of the box where a handle is not known.
     """

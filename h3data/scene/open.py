@@ -46,7 +46,7 @@ def named_scenes(
     strict: bool = False,
     allow_missing: bool = False,
 ) -> tuple[NamedScene, ...]:
-    """Return the scenes that ``text`` means; the other options are those of `SceneFile`.
+    """Return the scenes of a name; the other options are those of `SceneFile`.
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
     opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test`` or ``my.toml`` (all
@@ -94,7 +94,7 @@ def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str
 
 
 def open_scene_path(path: str) -> Any:
-    """Return the scene in a file, or whatever stands for a file that holds several; None if it is by its name no scene file.
+    """Return the scene in a file, or the collection if it holds several; None if its name is not that of a scene file.
 
     Raises:
         SceneError, FormatError: it cannot be read.

@@ -42,7 +42,7 @@ def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
 
 
 def passable(scene: Scene, free: FreeSpace) -> Scene:
-    """Return the scene with the doors between its rooms open; the scene itself where there are none that are closed."""
+    """Return the scene with the doors between its rooms open; the scene itself if none is closed."""
     doors = list(passages(scene, free))
     joints = joints_of(scene)
     positions = joints.rest.copy()

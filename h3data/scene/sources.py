@@ -159,7 +159,7 @@ def scene_readers() -> list[SceneReader]:
 
 
 def reader_of(path: str) -> SceneReader | None:
-    """Return the reader of a scene file, judged by its name and, where makers share an ending, its content.
+    """Return the reader of a scene file, by its name and, if formats share an ending, its content.
 
     The result is None if there is none.
     """
@@ -212,7 +212,7 @@ def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
 
 
 def missing_packages() -> str:
-    """Return a hint that names the packages of h3data that know more scenes but are not installed; empty if all are."""
+    """Return a hint with the missing packages of h3data that provide more scenes; empty if all are installed."""
     missing = ", ".join(f"{package} ({kind})" for kind, package in SCENES.missing().items())
     return f" Hint: this installation lacks {missing}; install h3data as a whole." if missing else ""
 

@@ -17,7 +17,7 @@ Node = dict[str, Any]
 
 
 def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
-    """Return a GLB of one mesh in its rest pose, with its skin and joints: a rig for others to pose."""
+    """Return a GLB of one mesh in its rest pose, with its skin and joints, to be posed by other programs."""
     chunk = GlbChunk()
     rest = np.linalg.inv(skeleton.inverse_bind)
     # nodes are posed by quaternions, which have no scale

@@ -65,7 +65,7 @@ class PosedCamera:
 
 
 def spans(there: Sequence[bool] | NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first step and first step after each run of True in ``there`` [T]."""
+    """Return the first step of each run of True in ``there`` [T], and the first step after it."""
     # with an edge on both sides, also runs at the ends have a beginning and an end
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(there, np.int8), [0]])))
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]

@@ -243,7 +243,7 @@ class GpuRenderer:
         self._run_deform()
 
     def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that keep light from surfaces (`Renderer.set_blockers`), one set for each world, from the host."""
+        """Set the capsules that block light from surfaces (`Renderer.set_blockers`), one set for each world, from the host."""
         if len(blockers) != self.worlds:
             raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)

@@ -63,7 +63,7 @@ class Shader:
         )
 
     def set_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that keep light from surfaces, for every world."""
+        """Set the capsules that block light from surfaces, for every world."""
         import torch
 
         self._blockers = {}

@@ -227,7 +227,7 @@ def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
 
 # --- in a home ------------------------------------------------------------------------------------------------------------
 def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed: int = 0) -> tuple[Scene, int]:
-    """Return the scene with models in place of its movable things, and how many were replaced.
+    """Return the scene with models in place of its movable things, and the number of replaced things.
 
     A model stands where the thing stood, and turned as it was. One that is larger than the thing by more than `GROWTH_M`, or
     would touch what is around it, is not chosen; a thing for which there is none stays. ``scene.source["objects"]`` has mass

@@ -21,7 +21,7 @@ class Folders(Protocol):
         ...
 
     def resolve(self, uri: str) -> Path | None:
-        """Return the file that a recorded path means."""
+        """Return the file of a recorded path."""
         ...
 
 

@@ -229,7 +229,7 @@ def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[
 # --- boxes ------------------------------------------------------------------------------------------------------------
 @lru_cache(maxsize=512)
 def named_box(uri: str) -> Mesh:
-    """Return a plain box with the name of a missing file on its sides, where the striped one of `placeholder_mesh` is."""
+    """Return a plain box with the name of a missing file on its sides, instead of the striped one of `placeholder_mesh`."""
     kind = placeholder_kind(uri)
     low, high = placeholder_mesh(uri).bounds.astype(np.float64)
     color = BOX_COLORS[kind]

@@ -235,7 +235,7 @@ def _extra_rooms(area_m2: float, bedrooms: int, bathrooms: int) -> tuple[str, ..
 
 
 def seed_look(seed: int) -> Look:
-    """Return the style that a seed stands for."""
+    """Return the style that a seed determines."""
     digest = hashlib.sha256(f"h3data.homes/look/{int(seed)}".encode()).digest()
     return get_args(Look)[digest[0] % len(get_args(Look))]
 

@@ -60,7 +60,7 @@ SESSIONS: dict[str, tuple[str, ...]] = {
 
 
 def build() -> str:
-    """Run everything and replace the folder; say what it holds."""
+    """Run all sessions and replace the folder of kernels; print its contents."""
     if sys.platform != "linux" or not shipped.folder_name().endswith(shipped.LEVEL):
         raise SystemExit(f"Kernels are shipped for Linux on x86-64; this is {shipped.folder_name()}.")
     with TemporaryDirectory() as scratch, ThreadPoolExecutor(core_count()) as pool:

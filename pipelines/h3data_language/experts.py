@@ -102,7 +102,7 @@ class Plan:
         ]
 
     def early(self, view: RearrangeView, agent: int) -> int:
-        """Return the nearest errand whose thing an agent can fetch while others do what has to be done before; -1: none."""
+        """Return the nearest errand whose thing an agent can fetch while others complete its conditions; -1: none."""
         done, theirs = self.done(view), {n for a, n in self.doing.items() if a != agent}
         things = {self.errands[n].thing for n in theirs}
         found = [
@@ -120,11 +120,11 @@ class Plan:
         return min(found, key=lambda n: self.length(view, view.xz, n)[0], default=-1)
 
     def waits(self, view: RearrangeView, n: int) -> bool:
-        """Return whether something has to be done before an errand."""
+        """Return whether an errand has to wait for others."""
         return not set(self.errands[n].after) <= self.done(view)
 
     def rescue(self, view: RearrangeView, agent: int) -> int:
-        """Return the errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
+        """Return an errand to take over from an agent that is late with it, for an agent without one; -1: none."""
         for other, n in self.doing.items():
             thing = self.errands[n].thing
             late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY and view.is_known(thing)
@@ -134,7 +134,7 @@ class Plan:
         return -1
 
     def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
-        """Return the path of an errand from somewhere, its work included [m], and where it ends."""
+        """Return the length of the path of an errand from a place, its work included [m], and its end."""
         errand = self.errands[n]
         start = view.objects[errand.thing, [0, 2]]
         length = self._path(view, here, start) + WORK_M
@@ -220,7 +220,7 @@ class Expert:
             self.plan = shared
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present errand, or of the one that it takes up."""
+        """Return the next skill of the present errand, or of the next one that it begins."""
         if not self.greedy and not self.begun:
             self._begin(view)
         plan = self.plan
@@ -349,7 +349,7 @@ class Talker(Speaker, Expert):
         return None if near is None else Action("nav_to_object", near)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
+        """Return the reason to stop, as for the other experts; an agent can always step aside."""
         return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:

@@ -308,7 +308,7 @@ class PartnrPlan:
         return found
 
     def errands(self) -> tuple[Errand, ...]:
-        """Return the work, with its order."""
+        """Return the errands, with their order."""
         found: list[Errand] = []
         of: list[list[int]] = []
         for name, stages in self.stages.items():

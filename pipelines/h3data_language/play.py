@@ -137,11 +137,11 @@ class LanguageApp(RearrangeApp):
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=tuple(lines), uses=tuple(uses) if person else ())
 
     def goals(self) -> list[Goal]:
-        """Return nothing, because the instruction says where things go."""
+        """Return nothing, because the instruction states where things have to be put."""
         return []
 
     def phrases(self) -> list[Phrase]:
-        """Return messages of one press: which thing a player takes or has brought, and that somebody stands in the way."""
+        """Return messages for buttons: things that a player takes or has brought, and a request to make room."""
         things = self.session.play.team.objects.names  # type: ignore[attr-defined]
         found = [
             Phrase(self.spoken(said.text), said.text)
@@ -169,7 +169,7 @@ class LanguageApp(RearrangeApp):
         return sorted(spots, key=lambda spot: spot.room)
 
     def spoken(self, text: str) -> str:
-        """Return a sentence for a message of a planner; what people and language models say as it is."""
+        """Return a sentence for a message of a planner; texts of people and language models stay as they are."""
         intent = Intent.of(text)
         if intent is None:
             return text

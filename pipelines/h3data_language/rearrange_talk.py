@@ -18,14 +18,14 @@ LATE = 600
 
 
 def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
-    """Return a planner that brings the nearest object that is left."""
+    """Return a planner that brings the nearest remaining object."""
     del task, number
     policy = robot_policy("greedy_nearest")
     return Seeking(policy) if episode.spec.observe == "seen" else policy
 
 
 def nearest_talk(task: Any, episode: Any, number: int) -> Any:
-    """Return a planner that also says what it takes and sees, and hears the same of others."""
+    """Return a planner that also announces what it takes and sees, and hears others do so."""
     del task
     return Teller(episode, number)
 

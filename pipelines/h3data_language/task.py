@@ -62,14 +62,14 @@ class LanguageCodec(RearrangeCodec):
     foreign: ClassVar[str] = PROPOSITIONS
 
     def record(self, episode: Episode) -> StoredLanguage:
-        """Record of an episode: that of rearrangement, and what was sampled besides."""
+        """Return the record of an episode: that of rearrangement, and the other sampled values."""
         record = super().record(episode)
         return StoredLanguage(**{f: getattr(record, f) for f in record.__struct_fields__}, extra=plain(episode.extra))
 
     entry = EpisodeCodec[StoredRearrangement].entry  # not in the form of Habitat's rearrangement episodes
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
-        """Record in an entry of a file, ours or PARTNR's, which gets the seed; None if the entry belongs to another task.
+        """Return the record in an entry of a file, ours or PARTNR's, which gets the seed; None for entries of other tasks.
 
         Raises:
             FormatError, InputError: its propositions are malformed, or ask for what cannot be played.
@@ -82,7 +82,7 @@ class LanguageCodec(RearrangeCodec):
         return record
 
     def rules(self, record: StoredRearrangement) -> LanguageSpec:
-        """Return rules in a record; PARTNR's episodes may last longer than ours."""
+        """Return the rules in a record; PARTNR's episodes may last longer than ours."""
         spec = super().rules(record)
         assert isinstance(spec, LanguageSpec)
         return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
@@ -143,7 +143,7 @@ class LanguageCodec(RearrangeCodec):
 
 
 def check_extra(extra: Mapping[str, Any], things: int) -> None:
-    """Check the propositions of an episode, and what is known of its things.
+    """Check the propositions of an episode, and the data about its things.
 
     Raises:
         InputError: they are malformed, or name what is not in the home.
@@ -196,7 +196,7 @@ class LanguageHousehold(Household):
     """Agents who can also put things at other places than the goals of the task."""
 
     def aim(self, number: int, action: Action) -> str:
-        """Give a thing a free spot at a destination as its goal, and tell it as an event."""
+        """Assign a free spot at a destination to a thing as its goal, and record an event."""
         if not isinstance(action.command, Destination):
             return super().aim(number, action)
         name, found = self.objects.names[action.target], self.spot_for(action.target, action.command)

@@ -52,7 +52,7 @@ def play_task(task: Any, episode: Any, policy: str = "language_expert") -> Playe
 
 
 def verify_task(task: Any, episode: Any) -> tuple[PlayedTask, PlayedTask]:
-    """Play an episode by its first person alone, and by all of its agents together."""
+    """Play an episode with its first person alone, and with all of its agents together."""
     alone = episode.only(kinds_of(episode.roster).index("human"))
     return play_task(task, alone), play_task(task, episode)
 

@@ -145,7 +145,7 @@ def bake(
     sources: LightSources,
     light: Light,
 ) -> Baked | None:
-    """Return the meshes of static instances with their light, and the light between them; None if there is none."""
+    """Return the meshes of static instances with their light, and the light field between them; None without light."""
     heap = heap_of(meshes, matrices) if meshes else None
     if heap is None or not len(heap.faces):
         return None

@@ -95,7 +95,7 @@ def find_faces(distance, count, points, normals, indoors):
 
 @kernel(error_model="numpy", boundscheck=False)
 def place_probes(distance, place, usable):
-    """Put each probe at the middle of its block, or where its block is widest if something is near the middle."""
+    """Place each probe at the middle of its block, or where its block is widest if the middle is obstructed."""
     n = PROBE_VOXELS
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):

@@ -53,7 +53,7 @@ def cached(
     light: Light,
     build: Callable[[], Baked | None],
 ) -> Baked | None:
-    """Return the baked light from the cache, else from ``build``, kept if the cache can be written."""
+    """Return the baked light from the cache, else from ``build``, which is cached if possible."""
     folder = cache_folder("light")
     if folder is None:
         return build()

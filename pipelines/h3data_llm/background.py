@@ -71,7 +71,7 @@ class BackgroundModel:
         self._retry_at, self.faults = 0.0, list[str]()
 
     def command(self, view: RearrangeView) -> Action | None:
-        """Return the choice for the next step; None: what the agent does goes on, or it has not decided yet. Never waits."""
+        """Return the choice for the next step; None: the action continues, or nothing is decided yet. Never waits."""
         if self._view is None:
             last = self._ended
             if self._action is not None and last is None:
@@ -97,7 +97,7 @@ class BackgroundModel:
         return action
 
     def after(self, spans: list[Any]) -> None:
-        """Take note of the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
+        """Handle the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
         own = [span for span in spans if span.reason != "commanded"]
         if self._action is not None and self._ended is None and own and own[0].name == self._action.skill:
             self._ended = SkillResult(own[0].outcome, own[0].reason)
@@ -108,4 +108,4 @@ class BackgroundModel:
         return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
 
     def close(self) -> None:
-        """End nothing: a thread that waits for an answer ends with it."""
+        """Do nothing: a thread that waits for an answer ends with it."""

@@ -74,7 +74,7 @@ class JobBudget:
         return {"tokens": sum(map(int, lines)), "calls": len(lines)}
 
     def check(self) -> None:
-        """Check that something is left.
+        """Raise an error if nothing is left of the budget.
 
         Raises:
             BudgetSpentError: the tokens or calls are used up.
@@ -89,6 +89,6 @@ class JobBudget:
                 )
 
     def add(self, tokens: int) -> None:
-        """Take down the tokens of one answer."""
+        """Add the tokens of one answer."""
         with self.spent_file.open("ab", buffering=0) as file:
             os.write(file.fileno(), b"%d\n" % tokens)

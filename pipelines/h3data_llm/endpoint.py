@@ -152,7 +152,7 @@ class HttpEndpoint:
             )
 
     def check(self) -> None:
-        """Check that somebody listens at the address.
+        """Check that a server listens at the address.
 
         Raises:
             LanguageModelError: nobody does.

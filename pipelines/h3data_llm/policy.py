@@ -146,7 +146,7 @@ class LanguageModelPolicy:
 
     # --- decisions ----------------------------------------------------------------------------------------------------
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present work, or of that which the language model chooses now.
+        """Return the next skill of the present work, or of the work that the language model chooses now.
 
         Raises:
             LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up; if it is

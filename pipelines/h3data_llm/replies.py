@@ -97,7 +97,7 @@ class Replayed(NamedTuple):
 
 
 def played_again(recording: Recording) -> list[Replayed]:
-    """Carry out the recorded answers by today's prompts and parser, without an endpoint; other agents decide anew.
+    """Carry out the recorded answers with the present prompts and parser, without an endpoint; other agents decide anew.
 
     Raises:
         InputError: no language model has played, or the recording cannot be simulated again.

@@ -63,7 +63,7 @@ class Names(NamedTuple):
     """The other agents."""
 
     def of(self, kind: str) -> tuple[str, ...]:
-        """Return names of a kind of parameter; none for kinds that are no names."""
+        """Return the names for a kind of parameter; none for kinds without names."""
         known = {
             "thing": self.things,
             "place": self.places,

@@ -204,7 +204,7 @@ class Worker:
         return "Somebody has said something." if self.heard(view) > heard else "You have waited."
 
     def rest(self, view: RearrangeView, *, for_good: bool = False) -> Work:
-        """Wait until somebody says something, or ``for_good``."""
+        """Wait until another agent sends a message, or ``for_good``."""
         heard, steps = self.heard(view), LONG
         while for_good or self.heard(view) <= heard:
             self.reason = "" if for_good else "message"

@@ -17,7 +17,7 @@ _UV_KEY = "h3data_uv"
 
 
 def mtl_with_plain_names(data: bytes) -> bytes:
-    """Return an MTL file's bytes with plain names after ``map_Kd``: its options are taken off.
+    """Return an MTL file's bytes with plain names after ``map_Kd``, without its options.
 
     ``-s`` and ``-o``, the scale and the offset of the image, become a line that `material_uv` reads again.
     """

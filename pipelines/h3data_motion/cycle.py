@@ -98,7 +98,7 @@ def _features(motion: Motion, body: Humanoid) -> Array:
 
 
 def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Clip:
-    """Return one cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
+    """Return one cycle of a motion as a clip without a seam that ``body`` can play.
 
     The best loop (`find_loop`) is straightened (its net turn is taken out evenly), what is left between its end and its
     start is spread over the cycle, and feet are planted round the seam. A cycle that gets anywhere is played by distance:

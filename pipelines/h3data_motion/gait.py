@@ -102,7 +102,7 @@ class MotionGaits(Gaits):
 
 
 def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
-    """Return the body with a motion's cycle as its walk.
+    """Return the body with a motion's cycle as its gait.
 
     Raises:
         InputError: there is no cycle of walking in it that could be played.

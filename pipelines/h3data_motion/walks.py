@@ -35,12 +35,12 @@ have 1.3."""
 
 
 def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
-    """Return a body called ``name`` that walks as the contents of a motion file say."""
+    """Return a body called ``name`` with the gait in the contents of a motion file."""
     return walks_as(body, load_motion(io.BytesIO(data)), name=name)
 
 
 def facts(data: bytes) -> dict[str, str]:
-    """Return the facts of a walk that recordings hold, from the contents of its file."""
+    """Return the facts about a gait for recordings, from the contents of its file."""
     motion = load_motion(io.BytesIO(data))
     return {"name": motion.name, "source": motion.source}
 
@@ -59,7 +59,7 @@ def walk_file(path: str) -> bytes:
 
 
 def walk_of(motion: Motion) -> Motion:
-    """Return the part of a motion that becomes a walk: its best cycle, and a little before and after it.
+    """Return the part of a motion that becomes a gait: its best cycle, and a little before and after it.
 
     Raises:
         InputError: it has too few frames a second, or nobody walks in it for a cycle without a cut.

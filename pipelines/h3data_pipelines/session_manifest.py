@@ -42,7 +42,7 @@ class ManifestRow:
     say: Mapping[str, str | int]
 
     def fits(self, recording: Recording, file: PurePosixPath) -> bool:
-        """Return whether all its choosing cells fit a recording that was imported from ``file``."""
+        """Return whether all its selecting cells match a recording that was imported from ``file``."""
         info = recording.episode.info
         people = [str(name) for name in dict(info.get("participants") or {}).values()]
         tests = {
@@ -66,7 +66,7 @@ class SessionManifest:
     """Lines of the rows that matched a recording."""
 
     def applied(self, recording: Recording, file: PurePosixPath) -> tuple[Recording, bool]:
-        """Return the recording with what the rows say about it in `Episode.info`, and whether any row fitted.
+        """Return the recording with the data of its rows in `Episode.info`, and whether any row matched.
 
         Args:
             recording: The imported recording.

@@ -43,7 +43,7 @@ def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
 
 
 def task_notes(note: Callable[[Task], str], **others: str) -> TaskNotes:
-    """Mark an option with what it means in each task; ``others`` are sentences by a name in the place of a task."""
+    """Mark an option with its meaning in each task; ``others`` are sentences by a name in the place of a task."""
 
     def said(name: str) -> str:
         task = _found(name)

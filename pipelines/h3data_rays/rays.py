@@ -276,7 +276,7 @@ class LidarScanner:
     def scan(
         self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
     ) -> NDArray[np.float32]:
-        """Return distances [L, C] [m], the range where nothing is nearer.
+        """Return distances [L, C] [m]; the scanner's range where nothing is nearer.
 
         Other instances count if they are ``shown`` [I].
 

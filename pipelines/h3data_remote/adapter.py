@@ -73,7 +73,7 @@ DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
 
 
 def built_in_adapters() -> tuple[str, ...]:
-    """Return names of the adapters that come with the package."""
+    """Return the names of the adapters that are included in the package."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
@@ -198,7 +198,7 @@ def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
 def chunk_of(
     answer: Mapping[str, Any], adapter: Adapter, width: int, server: str, *, batched: bool
 ) -> NDArray[np.float32]:
-    """Return the actions of an answer that will be carried out, [hold, width] in -1..1.
+    """Return the actions of an answer to be carried out, [hold, width] in -1..1.
 
     Args:
         answer: Answer of the server.

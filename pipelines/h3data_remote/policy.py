@@ -82,7 +82,7 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
 
 
 def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the facts that a server of ours states in its metadata; none for other servers."""
+    """Return the facts in the metadata of an h3data server; none for other servers."""
     own = metadata.get(OWN)
     return own if isinstance(own, dict) else {}
 
@@ -162,7 +162,7 @@ class RemotePolicy:
 
     # --- one decision -------------------------------------------------------------------------------------------------
     def act(self, view: Any) -> Velocity | Action:
-        """Return the next action of the present chunk; of a new one where it is used up, or where steps were left out.
+        """Return the next action of the present chunk, or of a new one if it is used up or if steps were left out.
 
         Raises:
             PolicyServerError: the server is gone or late, or answers with something that is no chunk.
@@ -221,7 +221,7 @@ class RemotePolicy:
             raise
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Velocity | Action:
-        """Return the choice that one action [width] means in the task."""
+        """Return the choice for one action [width] in the task."""
         if self._with_objects:
             rest = [] if len(row) > 2 else [0.0] * self._arm
             return Action(CONTROL, command=(*map(float, row), *rest))

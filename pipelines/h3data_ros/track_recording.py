@@ -313,7 +313,7 @@ def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray
 
 
 def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
-    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`, that before where it stands still."""
+    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`; at rest, the last one."""
     seconds = (time_ns - time_ns[0]) * 1e-9
     reach = max(HEADING_S / 2, float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0)
     ends = [

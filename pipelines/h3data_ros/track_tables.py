@@ -275,7 +275,7 @@ def _magni(text: str, robot: str, path: object) -> TrackTable:
 
 
 def by_id(ids: Sequence[str]) -> dict[str, NDArray[np.intp]]:
-    """Return the rows of each id, in the order in which ids come."""
+    """Return the rows of each id, in order of first appearance."""
     names, first, code = np.unique(np.array(ids, dtype=str), return_index=True, return_inverse=True)
     order = np.argsort(code, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(code))[:-1])

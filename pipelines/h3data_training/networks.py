@@ -123,7 +123,7 @@ class ActorCritic(nn.Module):
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return a picture [n, H, W, planes] as it is kept in rollouts."""
+        """Return a picture [n, H, W, planes] in the form for rollouts."""
         return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
@@ -226,7 +226,7 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return pictures in the form that the network takes."""
+        """Return pictures in the form for the network."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:

@@ -81,7 +81,7 @@ class Ranks:
 
 
 def torchrun_place() -> tuple[int, int] | None:
-    """Rank and number of processes that torchrun gave this process, None where it did not start it."""
+    """Return the rank and number of processes from torchrun, None if it did not start this process."""
     if any(name not in os.environ for name in TORCHRUN):
         return None
     return int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])

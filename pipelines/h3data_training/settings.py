@@ -191,7 +191,7 @@ class Settings:
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:
-        """Return settings for a trained actor: the critic alone learns at first, and there is less left to explore."""
+        """Return settings for a trained actor: the critic learns alone at first, and there is less exploration."""
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 

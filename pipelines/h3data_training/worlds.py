@@ -109,5 +109,5 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         }
 
     def taught(self) -> Tensor:
-        """Return None, because nobody teaches social navigation."""
+        """Return None, because social navigation has no teacher."""
         raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

@@ -27,7 +27,7 @@ _SHOWN_CHARACTERS = 2000
 
 
 def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene, Sequence[str] | None]]) -> Scene:
-    """Return the scene of a file: from the cache, else by ``read``, which then also gives the files on which it depends.
+    """Return the scene of a file: from the cache, else by ``read``, which then also returns the files on which it depends.
 
     The licence beside the file is printed when it is converted, and is ``licence`` in `Scene.source`.
 

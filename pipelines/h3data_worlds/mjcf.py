@@ -112,7 +112,7 @@ def licence_of(path: Path) -> str:
 
 # --- the files of a model ---------------------------------------------------------------------------------------------
 def mjcf_files(path: Path) -> list[Path]:
-    """Return the model, what it includes, and the meshes and pictures that these name, each once.
+    """Return the model, its included files, and the meshes and pictures that these name, each once.
 
     Raises:
         InputError: There is no such file.

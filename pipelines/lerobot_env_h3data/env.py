@@ -55,7 +55,7 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         return _sorted(shown, dict), info
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Act for 1/30 s; ``info["is_success"]`` says whether there was success by now.
+        """Act for 1/30 s; ``info["is_success"]`` states whether the episode has succeeded so far.
 
         Raises:
             InputError: the action has another shape or a number that is not finite; then nothing has moved.

@@ -24,7 +24,7 @@ class Company(Protocol):
         ...
 
     def comes_too_near(self, me: Any) -> bool:
-        """Return whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than allowed in this step."""
         ...
 
     def discs_of(self, number: int) -> Array:

@@ -132,7 +132,7 @@ class GivingWay:
             self.right_of_way.update(carrying)
 
     def begin_turn(self, me: AnyActor) -> None:
-        """Show an agent where the others are and how they move, before it makes its own step."""
+        """Update an agent's view of the others and their motion before its own step."""
         seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
         if len(seen) > 1:
             # stable: agents at the same distance keep the order of their numbers on every machine
@@ -158,7 +158,7 @@ class GivingWay:
         return self._seen[number]
 
     def end_turn(self, number: int) -> None:
-        """Take note that an agent has acted and has moved."""
+        """Store that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
         self._at[number] = self.actors[number].xz.tolist()
@@ -188,7 +188,7 @@ class GivingWay:
         return np.concatenate([np.zeros((0, 3)), *discs])
 
     def comes_too_near(self, me: AnyActor) -> bool:
-        """Return whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than allowed in this step."""
         discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
         # never more than the gap that there was: whoever is too near already may stay, and leave
         least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))

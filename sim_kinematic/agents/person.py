@@ -280,7 +280,7 @@ class Person:
 
     # --- a hand's target --------------------------------------------------------------------------------------------
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
-        """Put a palm at a world position [3] at once, or as near to it as it gets; the result says which."""
+        """Move a palm to a world position [3] at once, or as near to it as possible; the result states which."""
         result = reach(self.body, self.seen(position), hand)
         # at once: an arm that is let out by small steps would keep the palm off its place
         self._drawn.arms[0, HANDS.index(hand)] = 0.0

@@ -90,7 +90,7 @@ def with_body(human: str | None, body: str) -> str:
 
 
 def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
-    """Return agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
+    """Return agents of `make_roster` in which people named by their body have the gait ``motion`` (``+walk.npz``)."""
 
     def is_named(name: str) -> bool:
         kind, colon, model = name.partition(":")

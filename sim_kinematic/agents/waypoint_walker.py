@@ -69,7 +69,7 @@ class WaypointHuman:
     _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the way point ``(x, z)`` to walk to from ``position``; draw the next goal when the last one is reached."""
+        """Return the waypoint ``(x, z)`` to walk to from ``position``; sample the next goal when the last one is reached."""
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]
@@ -95,7 +95,7 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next goal [2] of somebody at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
+        """Return the next goal [2] of a person at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
@@ -132,7 +132,7 @@ def walking_path(
 
 
 def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """Return the path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
+    """Return the path [K, 2] with its corners moved away from obstacles, up to ``clearance_m``; its ends stay.
 
     A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
     as the straight ways to both its neighbours stay free.
@@ -175,7 +175,7 @@ def _aside(sdf, origin, cell, x, z, clearance, step):
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
+    """Return the path [K, 2] with each rounded corner replaced by the intersection of its tangents, if that path is free.
 
     A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
     """

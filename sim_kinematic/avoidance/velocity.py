@@ -155,7 +155,7 @@ def keep_clear(
     others: Sequence[ObstacleDisc],
     before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
+    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that there is no collision.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
     most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.

@@ -120,12 +120,12 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
 
 
 def circle_radius(people: int) -> float:
-    """Return the radius [m] of the circle on which people stand who talk with each other."""
+    """Return the radius [m] of the circle on which people stand in a conversation."""
     return max(NEAR_M, APART_M / 2 / math.sin(math.pi / people))
 
 
 def closed_area(free: FreeSpace, xz: Array) -> float:
-    """Return the area [m2] of floor that people who stand at places [N, 2] cut off from the largest part that they leave."""
+    """Return the area [m2] of floor that people at places [N, 2] cut off from the largest remaining part."""
     from scipy import ndimage
 
     label: Any = ndimage.label  # its types do not say that it returns two values

@@ -25,7 +25,7 @@ class EnvRecipe:
     options: Mapping[str, Any]
 
     def make(self) -> Any:
-        """Make the environment anew; it has not been reset."""
+        """Make the environment again; it has not been reset."""
         return load_reference(self.function)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """Move a way-point walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
+    """Move a waypoint walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
     dx, dz = goal_x - x, goal_z - z
     distance = math.hypot(dx, dz)
     if distance <= arrive:
@@ -75,7 +75,7 @@ def _step_cycles(distance, set_off, blend, xz, before, backwards, rate):
 
 
 def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
-    """Move a person in all their worlds one step straight towards way points ``goal_xz`` [W, 2], in place.
+    """Move a person in all their worlds one step straight towards waypoints ``goal_xz`` [W, 2], in place.
 
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
@@ -96,7 +96,7 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
-    """Put a person in all their worlds where they get in a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    """Move a person in all their worlds to their place after a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
     # the cycle goes on by the distance covered, which is known only after the move
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading

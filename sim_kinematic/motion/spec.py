@@ -71,7 +71,7 @@ class BaseSpec:
     looks for a maneuver when it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
-        """Return how far the base may get in one step of ``dt`` [s], obstacles pushing it or not [m]."""
+        """Return the largest movement of the base in one step of ``dt`` [s], with or without a push by obstacles [m]."""
         return math.hypot(self.max_speed_mps, self.max_lateral_mps) * dt if self.keeps_speed else math.inf
 
 

@@ -60,7 +60,7 @@ def point_along(path, cumulative, along):
 
 @kernel(error_model="numpy")
 def next_waypoint_index(cumulative, along):
-    """Return the number of the first way point beyond ``along`` [m], at most the last one."""
+    """Return the number of the first waypoint beyond ``along`` [m], at most the last one."""
     k = 1
     while k < len(cumulative) - 1 and cumulative[k] <= along + 1e-9:
         k += 1
@@ -306,7 +306,7 @@ class Strider:
         self.arrived = False
 
     def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
-        """Return where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
+        """Return the person's place after a step from ``xz`` [2] and ``heading``; a person who waits brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
         self.arrived = self.free.entries(

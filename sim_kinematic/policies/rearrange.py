@@ -82,7 +82,7 @@ class Plan(NamedTuple):
     def next(
         self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np
     ) -> tuple[Any, Plan]:
-        """Return the objects [W] to bring to their goals now, -1 where none is left or nobody asks, and where plans are then.
+        """Return the objects [W] to bring to their goals now, -1 where none is left or no choice is due, and the new plans.
 
         Args:
             asked: whether the planner chooses now, bool [W].
@@ -206,7 +206,7 @@ def _way(view: RearrangeView, start: NDArray, k: int) -> float:
 
 
 def persons_object(view: RearrangeView) -> int:
-    """Return the object that the person holds, walks to (by their last steps) or stands at; -1: it cannot be told."""
+    """Return the object that the person holds, walks to (by their last steps) or stands at; -1 if unknown."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])

@@ -320,7 +320,7 @@ def targets_of(
 
 
 def deciding_since(recording: Recording) -> list[int]:
-    """Return the step from which the present policy of each agent has decided, and which its memory goes back to.
+    """Return the step since which the present policy of each agent has decided, and from which its memory begins.
 
     Raises:
         InputError: The info has no such step for each agent.

@@ -45,7 +45,7 @@ class Search:
     """Step until which each place is avoided."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next action of the search: to go to a place, or to open the door or drawer that shuts it."""
+        """Return the next action of the search: to go to a place, or to open the door or drawer before it."""
         assert view.places is not None
         looked, shut = view.places.looked, view.places.shut
         now, ended = self._place, view.last

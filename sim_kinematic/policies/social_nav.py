@@ -85,7 +85,7 @@ def _steps_to_turn(error: float, spec: BaseSpec) -> float:
 
 
 def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
-    """Return the first way point on the path to the person that is not already underfoot."""
+    """Return the first waypoint on the path to the person beyond the robot's own place."""
     path = view.free.path(view.robot_xz, view.human_xz)
     for waypoint in path[1:]:
         if np.hypot(*(waypoint - view.robot_xz).tolist()) > spec.disc_radius_m / 2:
@@ -209,7 +209,7 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Act as `sampling_expert`, but by the person's true future: go to where they can first be met, and give way in time.
+    """Act as `sampling_expert`, but with the person's true future: drive to the earliest meeting point, and give way in time.
 
     Raises:
         InputError: The person's future is unknown, because they do not follow the script of an episode.

@@ -144,7 +144,7 @@ class Context(Protocol):
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """Return the number for each of the agent's C choices: 1 for the last one, if it ended in this way, [..., C]."""
+        """Return a number for each of the agent's C choices: 1 for the last one, if it ended with this outcome, [..., C]."""
         ...
 
 

@@ -149,7 +149,7 @@ class EpisodeCodec(Generic[R]):
         return {"ended": play.ended}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Return the identity of an episode's recording: the same inputs give the same one."""
+        """Return the identity of an episode's recording, which is equal for equal inputs."""
         raise NotImplementedError
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:

@@ -43,7 +43,7 @@ class Control:
         self.skills = dict(skills or {})
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raise an `InputError` if an agent cannot be told such things; by default all can."""
+        """Raise an `InputError` if the control does not support an agent; by default it supports all."""
 
     def team(self, play: Any) -> Team:
         """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
@@ -71,7 +71,7 @@ class Control:
         raise NotImplementedError
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Return whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        """Return whether an agent continues an action until it ends or a command interrupts it."""
         del play, number
         return False
 
@@ -124,7 +124,7 @@ class Control:
         raise NotImplementedError
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the numbers of the agents whose every decision is recorded, so that verification asks no policy of theirs.
+        """Return the numbers of the agents whose decisions are all recorded, so that verification calls none of their policies.
 
         ``names`` are those of all agents' policies.
         """
@@ -186,7 +186,7 @@ class VelocityControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity as `checked`, or a way point, a place, a gait or a recorded pose.
+        """Return a velocity as `checked`, or a waypoint, a place, a gait or a recorded pose.
 
         Raises:
             InputError: it is malformed.

@@ -407,7 +407,7 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """End the session and return its recording; if the episode has not ended, ``info["ended"]`` says so.
+        """End the session and return its recording; ``info["ended"]`` states if the episode was stopped before its end.
 
         ``info`` is recorded too: entries that the caller knows only now.
         """

@@ -304,7 +304,7 @@ class SkillDriver(Driver):
         return self.walking(*velocity)
 
     def speak(self) -> Any:
-        """Return the command that says the next message."""
+        """Return the command that sends the next message."""
         return self.unsaid.pop(0).action
 
     def walking(self, forward: float, turn: float) -> Any:
@@ -396,7 +396,7 @@ class PersonDriver(SkillDriver):
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
     def reach_of(self, seconds: float) -> HandTarget:
-        """Place and rotation of the right hand during the gesture: those of somebody who stands."""
+        """Return place and rotation of the right hand during the gesture of a standing person."""
         body = self.body.person.body
         quats, pelvis = (np.array(part) for part in body.clip_pose([0], [0.0]))
         add_gestures(body, quats, pelvis, [[NAMES.index(self.gesture), seconds, 1.0]])
@@ -444,7 +444,7 @@ class RobotDriver(SkillDriver):
     """Driver of a robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
-        """Return the command that says the next message; it ends the running skill, which begins again after it."""
+        """Return the command that sends the next message; it ends the running skill, which begins again after it."""
         if self.runs:
             self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
         return super().speak()

@@ -143,7 +143,7 @@ class EpisodeFactory:
         return tuple(numbers)
 
     def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy:
-        """Return the policy of an agent that nobody plays, under the plan's name: recordings hold no paths of this machine."""
+        """Return the policy of an agent without a player, under the plan's name: recordings hold no paths of this machine."""
         plan = self.plan
         assert plan.partner is not None
         if plan.partner_here == plan.partner:
@@ -344,7 +344,7 @@ class LiveGame:
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """Note that the clock of the game has fallen behind by some steps, which nobody will play."""
+        """Store that the clock of the game has skipped some steps."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 

@@ -53,7 +53,7 @@ _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 def uptime() -> float:
-    """Return seconds by a clock that nobody sets, and that also runs while the machine sleeps, if the system has one."""
+    """Return the time of a monotonic clock [s], which also runs while the machine sleeps, if the system has such a clock."""
     return time.monotonic() if _BOOT is None else time.clock_gettime(_BOOT)
 
 

@@ -220,7 +220,7 @@ class Worker:
             self.report()
 
     def try_disk(self) -> None:
-        """Let games that wait for space on the disk go on, end or begin, if there is some."""
+        """Let games that wait for space on the disk continue, end or begin, if there is some."""
         now = time.monotonic()
         if now - self._tried < DISK_S:
             return
@@ -376,7 +376,7 @@ class Worker:
         self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
-        """Take note that somebody came or went. The world stands still until all players are there."""
+        """Handle a player who has connected or left. The world stands still until all players are connected."""
         running = self.games.get(key)
         if running is None or running.over:
             return

@@ -258,7 +258,7 @@ class StudyServer(WebServer):
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 
     async def consent(self, request: web.Request) -> web.Response:
-        """Add a new participant; only the number is stored of those who decline."""
+        """Add a new participant; of people who decline, only the number is stored."""
         body = await self._read(request, Answer)
         participant, token = self._participant(request, body.ids), self._token(request)
         language = self._language(body.language)
@@ -598,7 +598,7 @@ class StudyServer(WebServer):
                 self._say_full(fault)
 
     def release_unchecked(self, seconds: float) -> None:
-        """Forget those whose computers have not been checked within so many seconds; their places and ids become free."""
+        """Forget participants whose computers were not checked in time; their places and ids become free."""
         self.journal.count_time()
         for number in list(self._unchecked):
             participant = self.journal.participants.get(number)
@@ -610,7 +610,7 @@ class StudyServer(WebServer):
                 self.report({"released": {"participant": participant.id}})
 
     def look_for_drop_outs(self) -> None:
-        """Count everybody's time, and end the sessions of those who have done nothing for too long."""
+        """Update the time of all participants, and end the sessions of those who have been idle for too long."""
         self.journal.count_time()
         now = self.clock()
         for live in self.lives.values():

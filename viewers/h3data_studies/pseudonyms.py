@@ -70,7 +70,7 @@ def completion_code(pseudonym: str, key: bytes) -> str:
 
 
 def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
-    """Return the code by which a participant goes on in another browser, once: another seat has another code.
+    """Return the code by which a participant continues once in another browser; another seat has another code.
 
     Args:
         pseudonym: Pseudonym of the participant.

@@ -151,7 +151,7 @@ class PlantedWalk:
         self.stand(base)
 
     def stand(self, base: ArrayLike) -> None:
-        """Put both feet where they belong under a root [7]."""
+        """Place both feet as in standing under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
         _CALL(stand_one, self.tables, self.state, *_place(base))
@@ -178,7 +178,7 @@ class PlantedWalk:
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Return whether the root [7] is where the last step left it."""
+        """Return whether the root [7] is the one after the last step."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)
@@ -186,7 +186,7 @@ class PlantedWalk:
         return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
 
     def step(self, base: ArrayLike) -> None:
-        """Advance by 1/30 s, in which the root gets to ``base`` [7]."""
+        """Advance by 1/30 s, in which the root moves to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
         _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)

@@ -105,7 +105,7 @@ class ReachPoses(NamedTuple):
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or the reason for failure.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.

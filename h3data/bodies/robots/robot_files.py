@@ -73,7 +73,7 @@ def robot_names() -> tuple[str, ...]:
 
 
 def is_built_in(name: str | Path) -> bool:
-    """Return whether a robot comes with this package, so that its name alone says which it is."""
+    """Return whether a robot is included in this package, so that its name alone identifies it."""
     return str(name) in _built_in()
 
 
@@ -87,7 +87,7 @@ def is_robot(name_or_path: str | Path) -> bool:
 
 
 def is_robot_file(path: str | Path) -> bool:
-    """Return whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
+    """Return whether a path names a robot: a ``.urdf``, a ``robot.toml``, or a folder that contains either."""
     path = Path(path)
     if path.suffix.lower() in DESCRIPTIONS or path.name == SETTINGS_NAME:
         return True

@@ -77,7 +77,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def decode_settings(path: Path) -> RobotSettings:
-    """Read a ``robot.toml`` by itself, without its URDF; once until it changes.
+    """Read a ``robot.toml`` by itself, without its URDF; once until the file changes.
 
     Raises:
         FormatError: A field is unknown, of another type, or not finite; the message names it.

@@ -53,7 +53,7 @@ class AssetLibrary:
         return f"AssetLibrary({len(self.roots)} roots{scene}, {len(self.missing)} missing)"
 
     def with_scene(self, scene: Scene) -> AssetLibrary:
-        """Return a library with the same roots and a scene that answers ``scene:<asset>``."""
+        """Return a library with the same roots and a scene for uris ``scene:<asset>``."""
         return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
 
     def with_own_folder(self, recorded: object) -> AssetLibrary:
@@ -72,7 +72,7 @@ class AssetLibrary:
         return self.folders.roots
 
     def resolve(self, uri: str) -> Path | None:
-        """Return the file that a recorded path means, or None; see `AssetFolders.resolve`."""
+        """Return the file of a recorded path, or None; see `AssetFolders.resolve`."""
         return self.folders.resolve(uri) or self._beside(uri)
 
     def mesh(self, ref: AssetRef) -> Mesh | None:

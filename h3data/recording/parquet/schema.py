@@ -149,7 +149,7 @@ class DatasetSchema:
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
-    """Return the narrowest layout that all of these fit; ``max_bodies`` widens ``object_pose``.
+    """Return the narrowest layout that fits all of these; ``max_bodies`` widens ``object_pose``.
 
     Raises:
         InputError: columns of one name differ in dtype or number of axes.

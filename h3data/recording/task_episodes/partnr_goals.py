@@ -41,7 +41,7 @@ class _Proposition(msgspec.Struct):
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """Return the placements that an episode of PARTNR asks for, in the order of its propositions; None for other episodes.
+    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other episodes.
 
     Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
     things done is not kept.

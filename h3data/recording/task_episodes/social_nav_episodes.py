@@ -56,7 +56,7 @@ def social_nav_episode(
     rigid_objects: Sequence[RigidObject] = (),
     targets: Mapping[str, Matrix] | None = None,
 ) -> RearrangeEpisode:
-    """Return a Habitat episode that carries ``nav``; `write_episodes` writes it, `read_social_nav` gets it back.
+    """Return a Habitat episode that contains ``nav``, for `write_episodes`; `read_social_nav` is the inverse.
 
     Habitat's own fields hold the robot's start. Its social-navigation task also looks for a target object when it
     resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
@@ -75,7 +75,7 @@ def social_nav_episode(
 
 
 def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
-    """Return the starts and way points that an episode carries; None if it has none of ours.
+    """Return the starts and waypoints in an episode of h3data; None for other episodes.
 
     Raises:
         FormatError: ours, but damaged or from a newer version.
@@ -84,7 +84,7 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
 
 
 def require_finite(nav: SocialNavEpisode) -> None:
-    """Raise an InputError where a start or way point is NaN or infinite."""
+    """Raise an InputError if a start or waypoint is NaN or infinite."""
     numbers = [*nav.robot_start, *nav.human_start, *(v for goal in nav.human_goals for v in goal), nav.floor_y]
     if not all(map(math.isfinite, numbers)):
         raise InputError(

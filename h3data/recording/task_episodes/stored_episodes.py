@@ -83,7 +83,7 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
 
 
 def plain(value: Any) -> Any:
-    """Return the value as it will come back from a file: lists for tuples.
+    """Return the value in the form in which a file returns it: lists for tuples.
 
     Raises:
         InputError: JSON cannot hold it.

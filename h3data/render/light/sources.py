@@ -23,7 +23,7 @@ everywhere."""
 
 
 def check_light(light: object) -> None:
-    """Refuse what is no `LightMode`.
+    """Raise an error for a value that is not a `LightMode`.
 
     Raises:
         InputError: it is none.

@@ -14,7 +14,7 @@ TOUCH_M = 1e-7
 
 @kernel()
 def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
-    """Return the length [n] [m] of the shortest taut way from every node to the nearest of free goals [K, 2].
+    """Return the length [n] [m] of the shortest taut path from every node to the nearest of free goals [K, 2].
 
     Lengths are infinite where there is no path.
     """

@@ -88,7 +88,7 @@ def first_leg(
 
 @kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
-    """Return the way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
+    """Return the waypoints of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
         return np.empty((0, 2))

@@ -118,7 +118,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
 
 @kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
-    """Return whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    """Return whether the straight line from a to b stays in the free area, by a walk over the buckets along it."""
     edges, items, start = graph.edges, graph.bucket_edges, graph.bucket_start  # taken out in the loop they cost as much
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape

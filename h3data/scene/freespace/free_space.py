@@ -46,7 +46,7 @@ class FreeSpace(FloorMap):
 
     @classmethod
     def from_map(cls, floor: FloorMap, lattice: Lattice | None = None) -> FreeSpace:
-        """Return the free space with the geometry of ``floor``, and its lattice where that is known already."""
+        """Return the free space with the geometry of ``floor``, and its lattice if that is known already."""
         space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
         if lattice is not None:
             # where `cached_property` keeps it, so that it is not built again
@@ -91,7 +91,7 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
     def as_in(self, scene: Scene, *, radius_m: float | None = None) -> FreeSpace:
-        """Return the floor for the same agent, or one of another radius, in a scene that is this home in another state."""
+        """Return the floor for the same agent, or one of another radius, in the same home with doors in another state."""
         return FreeSpace.from_scene(
             scene,
             radius_m=self.radius_m if radius_m is None else radius_m,
@@ -119,7 +119,7 @@ class FreeSpace(FloorMap):
         return floor_heights(self.heights, self.floor_y, points)
 
     def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
+        """Return the height [...] [m] of the surface under a foot at points [..., 2]: as `height_at`, but stairs have steps."""
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
     def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
@@ -156,11 +156,11 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
+        """Return the gradient [..., 2] of `signed_distance`, which points away from the nearest obstacle, length about 1."""
         return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Free way [...] [m] between the rim of the agent at points [..., 2] and the nearest obstacle; negative: overlap."""
+        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle; negative: overlap."""
         return self.signed_distance(points) - self.radius_m
 
     def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
@@ -196,7 +196,7 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: locate_many(self.graph, p), points)
 
     def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
-        """Free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
+        """Return the free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
         return each_point(lambda p: snap_many(self.graph, p, max_distance_m), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
@@ -230,7 +230,7 @@ class FreeSpace(FloorMap):
     def next_waypoint(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> NDArray[np.float64]:
-        """Return the point [2] to walk towards from a [2] to get to b [2]; NaN when there is no path.
+        """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN when there is no path.
 
         With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
         """

@@ -35,7 +35,7 @@ class Group:
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
-        """Return whether there is something to say at a step."""
+        """Return whether the group has changed at a step, so that a message is needed."""
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:

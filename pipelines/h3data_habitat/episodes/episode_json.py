@@ -76,7 +76,7 @@ class Notes:
         self.found[what] = (count + 1, first)
 
     def texts(self) -> tuple[str, ...]:
-        """Return one line for each kind of oddity, with its count and its first place."""
+        """Return one line for each kind of irregularity, with its count and its first place."""
         return tuple(f"{what}: {count} times, first at {first}" for what, (count, first) in self.found.items())
 
 

@@ -48,7 +48,7 @@ def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh],
 
 
 def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
-    """Return a triangle of 0.1 mm in a lower corner of the building: a stage has to draw something."""
+    """Return a triangle of 0.1 mm in a lower corner of the building, as a stage needs something to render."""
     corner = np.min([_world_box(scene, i)[0] for i in stage], axis=0)
     return Mesh(
         vertices=(corner + 1e-4 * np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0]])).astype(np.float32),

@@ -271,7 +271,7 @@ def _decoded(text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0)
 
 # --- faults -----------------------------------------------------------------------------------------------------------
 def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
-    """Return the error that says where and why a file is not a gfx-replay, and what else it looks like."""
+    """Return the error that states where and why a file is not a gfx-replay, and its probable format."""
     if isinstance(fault, ArrayFault):
         if str(fault) == "truncated":
             return truncated(path, fault.at)

@@ -41,7 +41,7 @@ _ORACLE_RATE = {MAIN: "60", PAPER_RELEASE: "120"}
 
 
 def compute_habitat(recording: Recording, notes: Notes, *, metrics: tuple[Metric, ...], variant: str) -> Computed:
-    """Compute the last values of Habitat's measures and the sums of its rewards."""
+    """Compute the final values of Habitat's measures and the sums of its rewards."""
     robot, human = find_agents(recording)
     missing = note_missing(metrics, recording, notes)
     names = [m.name for m in metrics]

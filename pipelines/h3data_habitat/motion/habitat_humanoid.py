@@ -165,7 +165,7 @@ class HabitatHumanoid:
         self.reset(base_matrix((0, HUMAN_ROOT_HEIGHT_M, 0), (1, 0, 0)))
 
     def reset(self, base: ArrayLike) -> None:
-        """Stand at a base frame [4, 4]; the walk goes on at the frame where it was."""
+        """Stand at a base frame [4, 4]; the gait continues at its last frame."""
         self.base = np.array(base, np.float64)
         self.offset = np.eye(4)
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
@@ -281,7 +281,7 @@ class HabitatHumanoid:
         return min(first, len(self._displacement) - 1)
 
     def reach(self, position: ArrayLike, hand: Hand = "right") -> None:
-        """Put a hand at a world position [3] [m], as far as the stored poses go (spec/habitat.md 3.5).
+        """Move a hand to a world position [3] [m], within the range of the stored poses (spec/habitat.md 3.5).
 
         Positions outside the grid are clamped without a word, as Habitat does; `h3data.bodies.people.reach` answers instead.
         """
@@ -321,7 +321,7 @@ class HabitatHumanoid:
 
 
 def reach_coordinates(base: ArrayLike, position: ArrayLike) -> Array:
-    """Return a world position [3] relative to a base frame [4, 4]: left, up, forward [m], as the reach grids have it."""
+    """Return a world position [3] relative to a base frame [4, 4]: left, up, forward [m], as in the reach grids."""
     matrix = np.asarray(base, np.float64)
     return _REACH_OF_BASE[:3, :3] @ matrix[:3, :3].T @ (np.asarray(position, np.float64) - matrix[:3, 3])
 

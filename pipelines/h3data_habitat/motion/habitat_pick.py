@@ -37,7 +37,7 @@ class HabitatPick:
         self.done = False
 
     def step(self, position: ArrayLike, *, pick: bool, holding: bool) -> Literal["take", "put"] | None:
-        """Move the hand once; the person's pose is then that of this step.
+        """Move the hand by one step; the person's pose is then that of this step.
 
         Args:
             position: Position of the object, or of its destination, shape [3] [m] in the world.

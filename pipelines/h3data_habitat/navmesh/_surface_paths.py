@@ -52,7 +52,7 @@ def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray)
 
 @kernel()
 def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: float, tz: float, seen: NDArray) -> bool:
-    """Mark the nodes that are seen from (x, z), bool [n], and say whether (tx, tz) in polygon ``target`` is.
+    """Mark the nodes that are visible from (x, z), bool [n], and return whether (tx, tz) in polygon ``target`` is.
 
     Triangular expansion (Bungiu et al. 2014) on convex polygons: a cone of view is narrowed by every edge it goes through.
     """

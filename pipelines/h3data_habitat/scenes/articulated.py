@@ -39,7 +39,7 @@ class Link:
 
 
 def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
-    """Return the kinematic tree of a URDF file and those of its links that are seen or collide.
+    """Return the kinematic tree of a URDF file and its visible or colliding links.
 
     Raises:
         FormatError, SceneError: the file, or a mesh that it names, cannot be used.
@@ -126,7 +126,7 @@ def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
 def initial_positions(
     robot: Robot, entry: Mapping[str, Any], *, link_order: str, where: Path
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Return the joint positions [J] that an instance's ``initial_joint_pose`` asks for, and warnings.
+    """Return the joint positions [J] of an instance's ``initial_joint_pose``, and warnings.
 
     A list is in the order of `joint_order`. An object names joints; if a name is none, its values are taken as a list in
     the order of the names, which is what habitat-sim does in any case.
@@ -226,7 +226,7 @@ def _moved(
 
 
 def empty_mesh() -> Mesh:
-    """Return an empty mesh, for what collides and is not seen."""
+    """Return an empty mesh, for invisible collision shapes."""
     none = np.zeros((0, 3), np.float32)
     return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8))
 

@@ -31,7 +31,7 @@ class ReferencedFiles:
         """Places at which each missing file was looked for."""
 
     def find(self, name: str, folder: Path) -> Path | None:
-        """Return the file that a config in ``folder`` means; None if it is nowhere.
+        """Return the file that a config in ``folder`` refers to; None if it does not exist.
 
         Raises:
             SceneError: it lies outside the folders that may be reached.

@@ -48,7 +48,7 @@ class SceneBuilder:
             self.templates.warnings.append(warning)
 
     def find(self, dataset: SceneDataset, section: Section, name: str) -> Template | None:
-        """Return the template that a scene means by a name; warn if others fit as well."""
+        """Return the template of a name in a scene; warn if others fit as well."""
         template, others = dataset.find(section, name)
         if template is not None and others:
             self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken: {template.path}")
@@ -157,7 +157,7 @@ class SceneBuilder:
             self.more["navmesh"] = str(file)
 
     def use_receptacles(self, active: Sequence[str]) -> None:
-        """Keep only receptacles of these names in use: ``<object>|<receptacle>`` as habitat-lab writes them."""
+        """Use only receptacles of these names: ``<object>|<receptacle>`` as habitat-lab writes them."""
         names = set(active)
         for index, instance in enumerate(self.instances):
             # links are instances of their own, and the filter names the object

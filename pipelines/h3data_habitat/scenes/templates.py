@@ -92,7 +92,7 @@ class TemplateReader:
         return self._rigid(template, stage=True)
 
     def rigid(self, template: Template) -> Rigid | None:
-        """Return the object; None if it cannot be used, which is in the warnings then, or among the missing files."""
+        """Return the object; None, with a warning or an entry among the missing files, if it cannot be used."""
         read = self._once(template)
         return read if isinstance(read, Rigid) else None
 

@@ -57,7 +57,7 @@ def place_single(
 
 
 def need(group: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
-    """Return the placed group; raises `NoRoomError` if it is None."""
+    """Return the placed group; raise `NoRoomError` if it is None."""
     if group is None:
         raise NoRoomError(f"No place for the {what} in {state.room.name}.", code="H3-SCENE-022")
     return group

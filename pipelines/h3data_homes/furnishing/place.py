@@ -163,13 +163,13 @@ def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
 
 
 def around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
-    """Plan rectangle of a piece by its centre, size and quarter turns."""
+    """Return the plan rectangle of a piece by its centre, size and quarter turns."""
     a, b = (width / 2, depth / 2) if quarter % 2 == 0 else (depth / 2, width / 2)
     return x - a, z - b, x + a, z + b
 
 
 def footprint(p: Placed) -> Rect:
-    """Plan rectangle of a piece, without its yaw."""
+    """Return the plan rectangle of a piece, without its yaw."""
     return around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
 
 

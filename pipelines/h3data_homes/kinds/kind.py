@@ -31,12 +31,12 @@ def extent(kind: Kind) -> NDArray[np.float64]:
 
 
 def grasp_point(kind: Kind) -> NDArray[np.float64]:
-    """Return the point that a hand takes hold of, in the frame of the kind's parts at scale 1, shape [3] [m]."""
+    """Return the point at which a hand grasps it, in the frame of the kind's parts at scale 1, shape [3] [m]."""
     return np.array(kind.hold_m) if kind.hold_m is not None else grasp_point_in(kind.grasp, extent(kind))
 
 
 def is_aligned(kind: Kind) -> bool:
-    """Return whether it stands parallel to the edges of what it stands on."""
+    """Return whether a thing stands parallel to the edges of the surface below it."""
     return bool(kind.model) and model_of(kind).aligned
 
 

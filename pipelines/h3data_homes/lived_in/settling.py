@@ -22,7 +22,7 @@ _NEAR_M = 0.1
 
 
 def settle(state: RoomState) -> None:
-    """Move the pieces of a room out of its walls, and the crooked ones out of those beside them."""
+    """Move the pieces of a room out of its walls, and rotated ones out of their neighbours."""
     for k, placed in enumerate(state.placed):
         if not placed.piece.solid or placed.y:
             continue

@@ -143,7 +143,7 @@ class LanguageAttach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line per reason for which recordings are left out; exit code 1 if there are any, 2 if all are."""
+        """Return a line for each reason with its recordings; exit code 1 if some are left out, 2 if all are."""
         from h3data.commands.command import claim_file
         from h3data.recording import write_mcap
         from h3data.recording.finding import find_episodes

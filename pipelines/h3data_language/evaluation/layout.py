@@ -87,7 +87,7 @@ class Layout(msgspec.Struct, frozen=True):
 
     @classmethod
     def of_scene(cls, scene: Scene, things: Sequence[str], floor_y: float = 0.0) -> Layout:
-        """Describe a home, with these things as the ones that move."""
+        """Describe a home and its movable things."""
         joints = joints_of(scene)
         furniture = {}
         for instance in scene.instances:

@@ -143,7 +143,7 @@ class Progress(NamedTuple):
 
 
 def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
-    """Return the progress in a recording: evaluated from its propositions, or as its simulator stored it.
+    """Return the progress in a recording: evaluated from its propositions, or as its simulator recorded it.
 
     Raises:
         InputError: propositions or stored results are malformed.

@@ -143,7 +143,7 @@ class RobotsInit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the settings file with what is guessed from the URDF."""
+        """Write the settings file with guesses from the URDF."""
         settings = guess_robot_settings(self.urdf, up=self.up)
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()

@@ -42,7 +42,7 @@ def import_(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Turn recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
+    """Convert recordings of other programs to MCAP recordings in the folder ``out``; options as of ``h3data import``.
 
     Returns:
         The outcome for every file.
@@ -104,7 +104,7 @@ class Import:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Convert the files and return what was imported and what could not be."""
+        """Convert the files and return the imported ones and the failures."""
         result = import_files(
             self.paths,
             self.out,

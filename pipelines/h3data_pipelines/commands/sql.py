@@ -176,7 +176,7 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors() -> Iterator[None]:
-    """Turn DuckDB's errors into an `InputError` of one line; its message names the closest columns."""
+    """Turn DuckDB's errors into an `InputError` of one line, whose message names the closest columns."""
     import duckdb
 
     try:

@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Run shards as `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
+        """Run shards as `Executor.run`. An exception ends the job; a process that dies costs only its shards."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):

@@ -127,7 +127,7 @@ def _pickled(error: Exception) -> bytes:
 
 
 def portable_task() -> Callable[[str, bytes], tuple[str, Any]]:
-    """Return the function that Ray sends to workers by value, so that it can say that the node lacks the package."""
+    """Return the function that Ray sends to workers by value, so that it can report that a node lacks the package."""
 
     def h3data_shard(origin: str, payload: bytes) -> tuple[str, Any]:
         import platform

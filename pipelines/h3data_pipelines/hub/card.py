@@ -272,7 +272,7 @@ def _seeds(seeds: Iterable[int]) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 def card_picture(dataset: Dataset) -> NDArray[np.uint8] | None:
-    """Return moments of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
+    """Return moments of some episodes side by side, above the first camera's views of them; None without steps."""
     played = [row["episode_index"] for row in dataset.rows if row["length"]]
     if not played:
         return None

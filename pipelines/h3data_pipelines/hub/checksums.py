@@ -35,7 +35,7 @@ def to_json(checksums: Mapping[str, str]) -> bytes:
 
 
 def require_checksums(root: Path) -> int:
-    """Compare the files of a copy with the checksums that came along; return their number, 0 if there are none.
+    """Compare the files of a copy with the checksums in it; return their number, 0 if there are none.
 
     Raises:
         FormatError: files are missing or damaged; the message names them.

@@ -53,7 +53,7 @@ class CameraLog:
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
-        """Return whether the output is there, complete and made of the same things."""
+        """Return whether the output exists, is complete and was made from the same inputs."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         entry = outputs.get(target.output, {}) if isinstance(outputs, Mapping) else {}
         return entry.get("made_of") == self.made_of(track, target) and target.path.exists()
@@ -68,7 +68,7 @@ class CameraLog:
             self._write()
 
     def add(self, track: CameraTrack, targets: Sequence[Target], *, fps: float) -> None:
-        """List outputs that are complete now."""
+        """List complete outputs."""
         steps = list(self._steps)
         times = self._replay.recording.columns["time_ns"][steps]
         before = self._cameras.get(track.camera.name, {}).get("outputs", {})

@@ -308,7 +308,7 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Return episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
+    """Return episodes in the scenes of ``scenes``: all of a set by default, else 10, in turn.
 
     Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
@@ -457,7 +457,7 @@ def checked(choices: Choices) -> Choices:
 
 
 def dataset_rules(task: Task) -> Any:
-    """Return the rules of a task's datasets, where the user asks for no others."""
+    """Return the default rules of a task's datasets."""
     return task.Spec() if task.usage.dataset_rules is None else task.usage.dataset_rules
 
 
@@ -467,7 +467,7 @@ def _named_default(task: Task, kind: str) -> str | None:
 
 
 def stored_person(name: str) -> str:
-    """Return the name of a person by which episodes are known: a motion by its digest, not by its path."""
+    """Return the name of a person in the identity of episodes: a motion by its digest, not by its path."""
     from h3data.bodies.names import JOIN
 
     if JOIN not in name:

@@ -73,11 +73,11 @@ class EvaluationRequest:
     """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in order; empty: any."""
 
     def jobs(self) -> list[Evaluation]:
-        """Return all episodes, or an `InputError` that names the bad option."""
+        """Return all episodes; raise an `InputError` that names a bad option."""
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """Return all episodes, and what a file lacks; an `InputError` names the bad option."""
+        """Return all episodes, and the missing data of a file; raise an `InputError` that names a bad option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
@@ -164,7 +164,7 @@ class EvaluationResult:
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
-        """Return the tables, and what failed."""
+        """Return the tables, and a list of failures."""
         return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed) + notes_on(self)
 
     def to_dict(self) -> dict[str, Any]:

@@ -187,7 +187,7 @@ def files_of(policy: str) -> tuple[str, ...]:
 
 
 def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
-    """Return names of policies that an option asks for.
+    """Return the names of policies that an option selects.
 
     ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
     of their weights.

@@ -23,7 +23,7 @@ MOST_LISTED = 20
 
 
 def reason_of(fault: Exception) -> str:
-    """Return one line about what went wrong, with the error's code; for errors that nobody foresaw, also where."""
+    """Return one line about an error with its code; for unexpected errors, also the place."""
     if isinstance(fault, H3DataError):
         return " ".join(with_code(fault).split())
     frame = traceback.extract_tb(fault.__traceback__)[-1]
@@ -47,7 +47,7 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
 
 
 def stopped_job(stop: JobStopError, left: Sequence[int]) -> JobStopError:
-    """Return the error of a job that cannot go on, with the numbers of the episodes that are left."""
+    """Return the error of a job that cannot continue, with the numbers of the remaining episodes."""
     more = f" and {len(left) - MOST_LISTED} more" if len(left) > MOST_LISTED else ""
     listed = ", ".join(map(str, left[:MOST_LISTED])) + more
     return JobStopError(f"{stop} Not played: {counted(len(left), 'episode')} ({listed}).", code=stop.code)

@@ -67,7 +67,7 @@ class WrittenDataset:
 
 
 def first_played(writer: DatasetWriter) -> Recording | None:
-    """Return an episode of a dataset to go on with that did not fail."""
+    """Return an episode of a dataset to be continued that did not fail."""
     from h3data.recording import Dataset
 
     if not len(writer):
@@ -88,7 +88,7 @@ def whose(job: Job) -> str:
 
 
 def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
-    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
+    """Raise an error if ``jobs`` would make other episodes than those of a dataset, or if the videos differ."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import shard_files
 

@@ -53,7 +53,7 @@ class PolicyTable:
         return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows of several policies."""
         cells = [
             {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
         ]

@@ -73,7 +73,7 @@ class SkillEvaluationResult:
         return found
 
     def to_text(self) -> str:
-        """Return the table, and what failed."""
+        """Return the table, and a list of failures."""
         lines = [f"{'skill':6} {'episodes':>8}  {'success':20} {'steps':>6} {'path m':>7} {'contact':>8}  failures"]
         for row in self.summary():
             least, most = row["interval"]

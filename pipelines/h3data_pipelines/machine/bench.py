@@ -106,7 +106,7 @@ class Bench:
         return Outcome(text=text, data=data)
 
     def cells(self) -> list[Cell]:
-        """Return rows to measure; an `InputError` names a bad option."""
+        """Return rows to measure; raise an `InputError` that names a bad option."""
         from h3data_pipelines.machine.bench_protocol import UNTIMED, Cell
 
         if self.group != "sim":

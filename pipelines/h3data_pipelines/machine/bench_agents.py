@@ -56,7 +56,7 @@ class RobotAgent:
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Move to random places where nothing of the home touches the body, the arm and the rear, with the arm at rest."""
+        """Move to random places where body, arm and rear touch nothing, with the arm at rest."""
         for w in range(len(self.own.heading)):
             self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
         self.own.joints[:] = self.body.rest

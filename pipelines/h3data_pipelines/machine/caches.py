@@ -47,7 +47,7 @@ class Cache:
 
 
 def find_caches() -> list[Cache]:
-    """Return all caches as they are now, by the names of `KINDS`."""
+    """Return all caches in their present state, by the names of `KINDS`."""
     return [_find(name) for name in KINDS]
 
 
@@ -128,7 +128,7 @@ CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear
 
 
 def kept_files() -> list[Path]:
-    """Return all files of numba's cache of our kernels, from every folder where numba may keep it.
+    """Return all files of numba's cache of h3data's kernels, from every folder where numba may store it.
 
     Those of earlier versions and other settings are included."""
     from numba.core import config

@@ -23,7 +23,7 @@ class Rows:
 
     @classmethod
     def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
-        """Return rows of episodes with so many rows each, at least one."""
+        """Return rows of episodes with these numbers of rows, at least one each."""
         ends = np.cumsum(counts, dtype=np.int64)
         return cls(starts=ends - np.asarray(counts, np.int64), total=int(ends[-1]))
 
@@ -44,7 +44,7 @@ class Rows:
         return summed if summed.ndim == 1 else summed.sum(axis=1)
 
     def mean(self, values: Array) -> Array:
-        """Return means of all that is known of each episode: [R] or [R, P] -> [E]; NaN where nothing is."""
+        """Return means over the known values of each episode: [R] or [R, P] -> [E]; NaN if none is known."""
         with np.errstate(invalid="ignore"):
             return self.sum(values) / self.sum(~np.isnan(values))
 

@@ -161,7 +161,7 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Train the policy and return where its weights are and how well it does."""
+        """Train the policy and return the path of its weights and its results."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:

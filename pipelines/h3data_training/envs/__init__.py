@@ -56,7 +56,7 @@ def make_rearrange(
 def make_any(
     worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
 ) -> TaskTorchEnv | RearrangeTorchEnv:
-    """Return a task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with things, `RearrangeTorchEnv`.
+    """Return a task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with objects, `RearrangeTorchEnv`.
 
     Raises:
         InputError: the task has another person, its functions are not for tensors, or an option is wrong.

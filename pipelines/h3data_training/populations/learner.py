@@ -83,7 +83,7 @@ class ChooserLearner:
         return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`, of any device.
+        """Continue from a `state`, of any device.
 
         Raises:
             KeyError: a part is missing,

@@ -74,7 +74,7 @@ def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
 
 
 def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
-    """Return the episodes of a file; where there is none they are drawn, and it is written.
+    """Return the episodes of a file; if there is none, sample them and write it.
 
     Raises:
         FormatError: it is none, or damaged.
@@ -146,7 +146,7 @@ def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -
 
 
 def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
-    """Return the episodes of a pool, ready to be played: homes are built here.
+    """Return the episodes of a pool, ready to be played, with homes built.
 
     Raises:
         InputError: a home is not there, or lacks an object.
@@ -238,7 +238,7 @@ def _home_bank(task: HomeTask) -> list[RearrangeBank]:
 
 
 def with_scenes(bank: RearrangeBank, file: Path) -> RearrangeBank:
-    """Return the same bank with its homes opened, for pictures.
+    """Return the bank with its homes opened, for pictures.
 
     Raises:
         InputError: the file does not name the homes, as one of before 0.3.

@@ -106,7 +106,7 @@ class TensorSkillPolicy:
         self._thought.zero_()
 
     def look(self, depth: Tensor, found: Tensor) -> None:
-        """Take in what networks that see choose by until the next look.
+        """Read the pictures by which networks choose until the next look.
 
         Args:
             depth: what the arm's camera sees [W, H, W'], as the observation ``arm_depth``.

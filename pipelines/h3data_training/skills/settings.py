@@ -114,7 +114,7 @@ class SkillSettings(Settings):
         return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
-        """Return the second stage of social navigation without the teacher: the actor has left it behind."""
+        """Return the second stage of social navigation without the teacher, which the actor no longer needs."""
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class TensorCameras:
         return self._taken(self.views, outputs)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Put the robot and the person of all worlds where they are.
+        """Move the robot and the person of all worlds to their present places.
 
         ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
         """

@@ -62,7 +62,7 @@ class TouchTest:
         *,
         person_contact: PersonContact = "body",
     ) -> TouchTest:
-        """Return the test for a robot at rest and a person who walks as the spec says, with the given collision shapes.
+        """Return the test for a robot at rest and a person with the gait of the spec, with the given collision shapes.
 
         Raises:
             InputError: a shape of the robot is neither box nor capsule.

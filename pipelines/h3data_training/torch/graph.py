@@ -28,7 +28,7 @@ def fused(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def can_fuse() -> bool:
-    """Return whether what `torch.compile` needs for a GPU is installed; it comes with torch for CUDA on Linux."""
+    """Return whether the requirements of `torch.compile` on a GPU are installed, as with torch for CUDA on Linux."""
     return importlib.util.find_spec("triton") is not None
 
 

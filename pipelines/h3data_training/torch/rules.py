@@ -140,7 +140,7 @@ def _held_with_things(rules: RearrangeSpec) -> Held:
 
 
 def refuse_others(task: str, rules: Any) -> None:
-    """Refuse rules of a task that do not hold on a device; those of a task of one's own are for its functions to read.
+    """Refuse rules of a task that a device does not support; for custom tasks, only those of the base class.
 
     Raises:
         InputError: a field that a device does not read has another value than it has in `Held.like`.

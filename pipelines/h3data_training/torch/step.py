@@ -268,7 +268,7 @@ def drive_robots(
 def move_humans(
     person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
 ) -> HumanTensors:
-    """Return people [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
+    """Return people [W, ...] at the places [W, 2] and headings [W] after a step."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
     return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))

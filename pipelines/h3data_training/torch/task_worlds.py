@@ -314,7 +314,7 @@ class TaskTensors:
         return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
 
     def step(self, play: Play, action: Tensor) -> Play:
-        """Return all worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
+        """Return all worlds after ``action`` [W, 2 or 3]; worlds that had ended are at the start of their next episode."""
         spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
         episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
         row = episode * legs
@@ -469,7 +469,7 @@ def in_words(which: str) -> Iterator[None]:
 
 
 def on_meta(thing: Any) -> Any:
-    """Return the same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
+    """Return a copy of an object in which all tensors, also those in nested dataclasses, are without data (device ``meta``)."""
     for name, value in vars(thing).items():
         if isinstance(value, Tensor):
             object.__setattr__(thing, name, value.to("meta"))

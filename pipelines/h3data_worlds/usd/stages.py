@@ -45,7 +45,7 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Keep USD from printing, and name a file in which it finds damage: much of a file is only decoded when it is used.
+    """Keep USD from printing, and name a damaged file: much of a file is only decoded when it is used.
 
     Raises:
         FormatError: the file, or one that it refers to, is damaged.

@@ -82,7 +82,7 @@ def matrix_of(value: Any) -> NDArray[np.float64]:
 
 
 def label_of(prim: Any) -> str:
-    """Return the semantic label of a prim itself: of UsdSemantics, or as Isaac wrote it before; empty if it has none."""
+    """Return the semantic label of a prim itself, by UsdSemantics or Isaac's older schema; empty if it has none."""
     labels = pxr("UsdSemantics").LabelsAPI
     for taxonomy in sorted(labels.GetDirectTaxonomies(prim), key=lambda name: name != "class"):
         found = labels(prim, taxonomy).GetLabelsAttr().Get()

@@ -53,7 +53,7 @@ _LIGHT_UNIT = 1000.0
 
 
 def write_usd(scene: Scene, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files: textures lie beside it.
+    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files, textures included.
 
     A ``.usdz`` holds its textures; the others have them as PNG in a folder ``<name>_textures``.
 

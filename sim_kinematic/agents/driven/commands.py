@@ -185,7 +185,7 @@ def command_from_json(data: Any) -> Action:
 
 
 def interrupts_skill(action: Action) -> bool:
-    """Return whether a command from outside interrupts a running skill; one to stand still lets it go on."""
+    """Return whether a command from outside interrupts a running skill; one to stand still does not."""
     return not (isinstance(action.command, PersonCommand) and action.command.stands)
 
 

@@ -176,7 +176,7 @@ class DrivenPerson(PersonActor):
         return self._after_standing(action)
 
     def idle(self) -> None:
-        """Stand still for one step: by the feet of the person who is driven, or as people with skills stand."""
+        """Stand still for one step, by the feet of the driven person, or as people with skills do."""
         if self._stirs:
             self._drive(STAND)
         else:

@@ -42,7 +42,7 @@ class RoomDoors:
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
-        """Return whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
+        """Return whether some stands ``(x, z, heading)`` [N, 3] are on both sides of a closed door."""
         closed = joints_of(self.scene).rest.copy()
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
@@ -69,7 +69,7 @@ class RoomDoors:
         return [k for _, k in sorted(found)]
 
     def any_closed(self, positions: Array) -> bool:
-        """Return whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
+        """Return whether one of the doors is closed with the joints of the home at ``positions`` [J]."""
         return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= self.open_share).any())
 
     def first(

@@ -86,7 +86,7 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Return whether a part is open so far that hands get in."""
+        """Return whether a part is open enough for hands."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:

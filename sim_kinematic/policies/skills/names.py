@@ -67,7 +67,7 @@ def _shipped_digest() -> str:
 
 
 def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
-    """Return the learned skills that names mean, by the skills of the upper layer that they stand for.
+    """Return the learned skills of some names, by the skills of the upper layer.
 
     Raises:
         InputError: As `recorded_skills`.

@@ -127,7 +127,7 @@ def bot_name(k: int) -> str:
 
 
 def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str, str]]:
-    """Return the status of each bot that has begun before, and the code by which it goes on without its cookie."""
+    """Return the status of each bot that has begun before, and the code by which it continues without its cookie."""
     from h3data_studies.files import key_file, open_store
     from h3data_studies.pseudonyms import read_key, recruit_ids, rejoin_code
     from h3data_studies.store import DATABASE

@@ -67,7 +67,7 @@ def _highest(metric: Metric, values: Sequence[float]) -> float:
 
 
 def estimate_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Return one panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
+    """Return one panel per metric of social navigation: our means with intervals, above the paper's expert and RL."""
     paper = [row for row in published_results().social_nav.rows if row.policies]
     return [_estimates(metric, runs, paper) for metric in SOCIAL_NAV_PROFILE.metrics]
 

@@ -20,7 +20,7 @@ from h3data_viewers.html_report.episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:
-    """Return whether a folder is that of an evaluation whose recordings were not kept."""
+    """Return whether a folder is that of an evaluation without recordings."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
 
 

@@ -364,7 +364,7 @@ def _messages(recording: Recording) -> list[str]:
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
-    """Return up to five rows that tell the story, with what happens there: start, end, milestones, the encounter."""
+    """Return up to five key rows of an episode with captions: start, end, milestones, the encounter."""
     metrics = episode.metrics
     last = metrics.rows - 1
     if last < 0:

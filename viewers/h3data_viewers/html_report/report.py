@@ -106,7 +106,7 @@ def make_report(
     spread: Spread[Found] = map,
     command: str = "",
 ) -> Report:
-    """Return the report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
+    """Return the report of datasets, logs and folders of logs; at most ``pictures`` episodes have key frames.
 
     ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are those of
     the key frames, as in `h3data.replay.Replay`; ``study_model`` and ``failed`` choose the model of episodes that

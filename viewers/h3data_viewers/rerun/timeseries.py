@@ -43,7 +43,7 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 def touched_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Return rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
+    """Return rows in which the robot touches a person [T], as far as the recording distinguishes it from other contact."""
     # with several agents, `collision` may be a contact between others
     people = recording.columns.get("metrics.collision_people")
     if people is not None and people.ndim == 2:

@@ -136,7 +136,7 @@ SCALP_USUAL = 0.6
 
 
 def split_outfit(name: str) -> tuple[str, str]:
-    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty where none is named."""
+    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty if the name has none."""
     # the last colon, as random:SEED has one of its own
     body, _, outfit = name.rpartition(SEPARATOR)
     return (body, outfit) if body and outfit in OUTFITS else (name, "")

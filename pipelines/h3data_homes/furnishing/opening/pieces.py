@@ -312,7 +312,7 @@ def _rack(x: Span, y: Span, z: Span) -> MovingPart:
 def opening_cabinet(
     width: float, depth: float, y: Span, colors: Sequence[Color], metal: Color, front: Color, looks: MeshBuilder
 ) -> Opening:
-    """Return a wall cabinet with doors and two boards inside; ``looks`` is what hangs with it: the tiles below."""
+    """Return a wall cabinet with doors and two boards inside; ``looks`` are meshes attached to it: the tiles below."""
     frame, half = _Body(looks), width / 2
     x, z, count = (-half, half), (-depth / 2, depth / 2 - 0.02), len(colors)
     frame.shell(x, y, z, shade(front, 0.92), shade(front, 0.95))

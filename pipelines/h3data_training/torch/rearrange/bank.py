@@ -213,7 +213,7 @@ class RearrangeBank:
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:
-        """Return the objects that a planner brings to their goals in each episode, in this order, [N, K]; then -1.
+        """Return the objects that a planner brings to their goals in each episode, in order, [N, K]; then -1.
 
         Raises:
             InputError: there is no such planner.

@@ -40,7 +40,7 @@ class StoredFloor:
 
 
 def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, Any]) -> None:
-    """Write a compressed npz that appears whole or not at all; ``drawn_by`` are the settings that the episodes follow from."""
+    """Write a compressed npz that appears whole or not at all; ``drawn_by`` are the settings of the episodes."""
     about = {
         "format": FORMAT,
         "drawn_by": dict(drawn_by),
@@ -56,7 +56,7 @@ def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, A
 
 
 def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[RearrangeBank, dict[str, Any]]:
-    """Return the bank of a file, without scenes, so not for pictures, and the settings that its episodes were drawn by.
+    """Return the bank of a file, without scenes and pictures, and the settings of its episodes.
 
     Raises:
         FormatError: it is none, or damaged.

@@ -73,7 +73,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
+        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` computes them."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
@@ -196,7 +196,7 @@ class View(NamedTuple):
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """Return the number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
+        """Return a number for each choice: 1 for the last one, if it ended with this outcome, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
@@ -206,7 +206,7 @@ class View(NamedTuple):
 
 
 def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
-    """Return names of the sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
+    """Return names of the sensors of a device: all but those of the hand and of the start frame."""
     lacking = ("joints",) if parts else ("joints", "parts")
     return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
 

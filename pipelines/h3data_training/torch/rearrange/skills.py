@@ -261,7 +261,7 @@ def move_people(turn: Turn, person: HumanTensors, places: Places, walker: Walker
 def handle(
     choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
 ) -> tuple[SubGoal, Hands]:
-    """Move held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
+    """Move held objects with the agent at ``root`` [W, 3]; picks and places change hands; skills of limited duration end."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (kind != NAV_HANDLE) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)

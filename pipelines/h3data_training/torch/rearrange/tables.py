@@ -125,7 +125,7 @@ class Places(NamedTuple):
         return self.tables.ends[self._rows(self.episode, field) * self.tables.fields + field]
 
     def first(self, field: Tensor, xz: Tensor) -> Tensor:
-        """Return the points to go to first on paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
+        """Return the first points of paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
         last = self._rows_of(self.shape, field) - 1
         origin = self._rows_of(self.origin, field)
         cell = ((xz - origin) / CELL_M).floor().long().clamp_min(0)

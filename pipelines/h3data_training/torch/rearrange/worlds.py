@@ -112,7 +112,7 @@ class RearrangeTensors:
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
-        """Put worlds that have ended at the start of their next episode."""
+        """Move worlds that have ended to the start of their next episode."""
         return self._begun(play, play, play.ended)
 
     def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:

@@ -257,7 +257,7 @@ class SkillTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
-        """Return all worlds after ``action`` [W, n], those that had ended at the start of their next episode.
+        """Return all worlds after ``action`` [W, n]; worlds that had ended are at the start of their next episode.
 
         A step that does not look leaves the path to the stand as it was, and so what the robot has gained on it to the next one
         that does: looking takes a third of the time.
@@ -398,7 +398,7 @@ class SkillTensors:
 
     # --- for those who look on ----------------------------------------------------------------------------------------
     def points(self, play: SkillPlay) -> Tensor:
-        """Return where targets lie or are to go, [W, 3] [m]."""
+        """Return the positions or goals of targets, [W, 3] [m]."""
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
@@ -410,11 +410,11 @@ class SkillTensors:
         return self._floor_y[self._place[play.episode]]
 
     def reaching(self, play: SkillPlay) -> Tensor:
-        """Return joints of the arm that reach for the targets from their stands, [W, n]."""
+        """Return arm joints with which hands reach the targets from their stands, [W, n]."""
         return self._reaching[play.episode]
 
     def reach(self, play: SkillPlay) -> Tensor:
-        """Return how far the targets are from their stands, on the floor plane [W] [m]."""
+        """Return the distance of the targets from their stands, on the floor plane [W] [m]."""
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
