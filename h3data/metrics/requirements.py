@@ -43,7 +43,7 @@ def require_whole(recording: Recording) -> None:
     Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
 
     Raises:
-        UnmeasurableError: it is one.
+        UnmeasurableError: the recording is such an export.
     """
     if recording.episode.is_lerobot_export:
         raise UnmeasurableError(

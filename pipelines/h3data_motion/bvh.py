@@ -86,7 +86,7 @@ def read_bvh_file(path: str | Path) -> Bvh:
     """Parse a BVH file.
 
     Raises:
-        FormatError: it is none, or damaged; the message says in which line.
+        FormatError: the text is not a BVH file, or is damaged; the message states the line.
         InputError: there is no such file.
     """
     path = Path(path)

@@ -118,7 +118,7 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     """Return the walking cycle of a clip that was fitted to a body.
 
     Raises:
-        InputError: the clip is none of somebody who walks forwards with both feet on one floor.
+        InputError: the clip is not a forward walk with both feet on one floor.
     """
     if clip.speed_mps <= 0 or clip.stride_m < LEAST_STRIDE_M:
         gets = f"{clip.stride_m if clip.speed_mps > 0 else 0:.2f} m in its best cycle of {clip.period_s:.2f} s"

@@ -30,7 +30,7 @@ class SkillScore(NamedTuple):
 
 
 def action_of(start: SkillStart) -> Action:
-    """Return the action of the upper layer that a start is for."""
+    """Return the action of the upper layer that begins at a start."""
     name = {"nav": "nav_to_goal" if start.holds else "nav_to_object"}.get(start.skill, start.skill)
     return Action(name, start.target)
 

@@ -90,7 +90,7 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
     """Return a checkpoint of the same settings and seed; ``form`` is the format that its file must state.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a checkpoint, or is damaged.
         InputError: it is of other settings.
     """
     try:

@@ -140,7 +140,7 @@ _REACH_OVER_M = 0.55
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a piece of a kind of the second generation."""
+    """Return a piece of furniture of the second generation, by the name of its kind."""
     return furniture_of(KINDS[name], rng, style)
 
 

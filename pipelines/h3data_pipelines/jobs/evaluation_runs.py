@@ -208,7 +208,7 @@ def evaluate_task(
 
     Raises:
         InputError: an option cannot be, or the folder holds results of other options, or anything else.
-        FormatError: a file among the results is none.
+        FormatError: a file among the results is not a result.
     """
     check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs, asked = request.evaluations()

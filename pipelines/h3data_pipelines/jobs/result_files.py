@@ -78,7 +78,7 @@ def results_of(
 
     Raises:
         InputError: the folder holds results of other options, or anything else.
-        FormatError: a file among the results is none.
+        FormatError: a file among the results is not a result.
         JobStopError: the whole job cannot go on; the results so far stay.
     """
     folder = out / RESULTS

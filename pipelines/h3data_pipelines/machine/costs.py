@@ -53,7 +53,7 @@ class Costs:
         """Read costs as ``h3data plan --measure --json`` prints them.
 
         Raises:
-            InputError: they are something else.
+            InputError: the values are not costs.
         """
         try:
             return cls(**values["costs"])

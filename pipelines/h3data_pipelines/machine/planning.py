@@ -39,7 +39,7 @@ class Plan:
     datasets: int = 1
     """Number of datasets into which the job is cut, each written by a command of its own."""
     scenes: int = 37
-    """Different homes (h3-homes/train has 37)."""
+    """Number of different homes (h3-homes/train has 37)."""
     steps: float | None = None
     """Mean length of an episode (default: as measured)."""
     cameras: tuple[str, ...] = ()

@@ -77,7 +77,7 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
     """Return the episodes of a file; if there is none, sample them and write it.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a pool of episodes, or is damaged.
         InputError: it was drawn by other settings.
         SceneError: a home has no room for an episode.
     """

@@ -34,7 +34,7 @@ class CameraFeed:
     poses: NDArray[np.floating] | None = None
     """Matrices from camera (OpenCV axes) to world, [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
     video: Path | None = None
-    """An MP4 file."""
+    """MP4 file with the images of the camera; None if there is no video."""
     steps: NDArray[np.integer] | None = None
     """Step of each video frame; None: the frames are spread evenly over the recording."""
     stills: Iterable[tuple[int, NDArray[np.uint8]]] | None = None

@@ -59,7 +59,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
     """Return the bank of a file, without scenes and pictures, and the settings of its episodes.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a bank of episodes, or is damaged.
         InputError: its episodes are for other rules.
     """
     try:

@@ -56,7 +56,7 @@ class SkillBank:
         """Return the starts in some episodes, each with the floor for the robot's base.
 
         Raises:
-            InputError: there are none, or a home is none that a device knows.
+            InputError: there are no starts, or a device does not support a home.
         """
         rows = [(episode, floor, start) for episode, floor, some in starts for start in some]
         if not rows:
