@@ -165,7 +165,7 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """Return the path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
+    """Return the path of an output file that ends in ``suffix``; raise an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):

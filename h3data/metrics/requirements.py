@@ -78,7 +78,7 @@ def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
 
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
-    """Return the names of the metrics that lack something, each with a note; a `MissingColumnsError` if all do."""
+    """Return the names of the metrics that lack something, each with a note; raise a `MissingColumnsError` if all do."""
     needs = {m.name: missing for m in metrics if (missing := missing_columns(m, recording))}
     if len(needs) == len(metrics):
         raise MissingColumnsError(recording.episode.episode_id, needs)

@@ -139,7 +139,7 @@ def layout_to_json(layout: Layout) -> str:
 
 
 def layout_from_json(text: str) -> Layout:
-    """Return the inverse of `layout_to_json`; a `FormatError` if the text is no layout."""
+    """Return the inverse of `layout_to_json`; raise a `FormatError` if the text is no layout."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:

@@ -31,7 +31,7 @@ Tile = tuple[str, Rect]
 
 @dataclass(frozen=True, kw_only=True)
 class Zoning:
-    """Rooms without doors; they and the notches tile ``0 0 width depth``."""
+    """Rooms of a plan without doors; with the notches they tile the rectangle ``0 0 width depth``."""
 
     width: float
     depth: float

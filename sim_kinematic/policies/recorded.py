@@ -35,7 +35,7 @@ RESUMED = "resumed"
 
 
 def is_remote(policy: Any) -> bool:
-    """Return whether a policy lies behind a server, which is not asked for what is recorded."""
+    """Return whether a policy is behind a server, which a replay of the recording does not ask again."""
     return bool(getattr(policy, "is_remote", False))
 
 

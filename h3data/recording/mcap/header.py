@@ -56,7 +56,7 @@ def scene_dict(header: RecordingHeader | Recording) -> dict[str, Any]:
 
 
 def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
-    """Return a serialised message of `struct_descriptor`; an `InputError` if it cannot hold a value."""
+    """Return a serialised message of `struct_descriptor`; raise an `InputError` if it cannot hold a value."""
     try:
         return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
     except (ValueError, TypeError, OverflowError) as error:

@@ -42,7 +42,7 @@ class McapRecords:
     fault: str | None = None
 
     def channel_of(self, topic: str) -> int | None:
-        """Return the id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
+        """Return the id of the channel with a topic, None if there is none; raise a `FormatError` if several carry messages."""
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:

@@ -214,7 +214,7 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
 
 
 def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
-    """Return values in the dtype of their column; a `FormatError` if they do not fit."""
+    """Return values in the dtype of their column; raise a `FormatError` if they do not fit."""
     narrow = values.astype(field.column.dtype, copy=False)
     # protobuf has no integers of 8 and 16 bits, so another writer may have sent larger numbers
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):

@@ -260,7 +260,7 @@ def _sync(stream: IO[bytes]) -> None:
 
 
 def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Table:
-    """Return the records of episode ``index``; an `InputError` if a value cannot be stored."""
+    """Return the records of episode ``index``; raise an `InputError` if a value cannot be stored."""
     rows = [{"episode_index": index, **record} for record in records]
     try:
         return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))

@@ -280,7 +280,7 @@ def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
 
 
 def _steps_per_second(sources: list[StoredEpisode]) -> int:
-    """Rate of the first readable episode; an `InputError` if there is none."""
+    """Rate of the first readable episode; raise an `InputError` if there is none."""
     errors = []
     for source in sources:
         try:
