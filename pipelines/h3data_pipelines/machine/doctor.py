@@ -44,7 +44,7 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "microsoft-edge", 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check the installation, and list the files of h3data on this machine.
+    """Check the installation and list its files on this machine.
 
     Renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub; versions of packages, free disk space, caches.
 
