@@ -30,7 +30,7 @@ def open(path: str | os.PathLike[str], kind: type[T]) -> T: ...
 @overload
 def open(path: str | os.PathLike[str]) -> Any: ...
 def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
-    """Open recordings, datasets and scenes, by whatever name the command line knows them.
+    """Open recordings, datasets and scenes, by the names that the command line accepts.
 
     ====================================================  ==========================================
     ``episode.mcap``, ``ds#3``                             `Recording`

@@ -39,7 +39,7 @@ except ImportError as error:
     ) from error
 
 IDS = {f"h3data/{name.title().replace('_', '')}-v0": name for name in own_entries("h3data.tasks")}
-"""Name of the task by id."""
+"""Name of the task by Gymnasium id."""
 
 for _id, _task in IDS.items():
     if _id not in gymnasium.registry:  # a reload would make Gymnasium warn

@@ -1,4 +1,4 @@
-"""The error tree. Every error that the user can fix is an `H3DataError`: the command line prints it and exits with 2."""
+"""Tree of errors. Every error that the user can fix is an `H3DataError`: the command line prints it and exits with 2."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ R = TypeVar("R")
 
 
 class H3DataError(Exception):
-    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do.
+    """Base of all errors that h3data raises. Messages state what was expected, what was given and what to do.
 
     Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives the
     sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
@@ -52,7 +52,7 @@ class PluginError(H3DataError):
 
 
 class JobStopError(H3DataError):
-    """A whole job cannot go on, such as when its budget is used up: what was played stays, and no episode is begun."""
+    """Error that stops a whole job, for example when its budget is used up: played episodes stay, and no other begins."""
 
 
 class UntrustedNameError(InputError):
@@ -65,7 +65,7 @@ def with_code(error: BaseException) -> str:
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` with the valid name closest to an unknown one; empty if none is close."""
+    """Return `` Did you mean 'x'?`` with the valid name closest to an unknown one; an empty string if none is close."""
     from difflib import get_close_matches
 
     by_lower = {other.lower(): other for other in valid}
@@ -74,7 +74,7 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", more: str = "") -> str:
-    """Ending of an error message about an unknown name: the closest valid name, or else all valid names.
+    """Return the end of an error message about an unknown name: the closest valid name, or else all valid names.
 
     Returns `` Did you mean 'x'?`` if a valid name is similar, otherwise `` Expected one of: a, b<more>.``, where
     ``lead`` replaces "Expected one of".
@@ -84,7 +84,7 @@ def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", m
 
 
 def suggest_keywords(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: the `TypeError` of an unknown keyword argument says which one was meant, or which there are.
+    """Decorate a function so that the `TypeError` of an unknown keyword argument names the closest one, or all of them.
 
     Python does so itself from 3.13 on, but not which there are. For functions without ``**`` arguments.
     """

@@ -1,4 +1,4 @@
-"""Files that appear under their final name only once they are complete, and the location of caches."""
+"""Files that get their final name only when they are complete, and the location of caches."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def path_inside(name: str) -> str | None:
 
 
 def cache_folder(kind: str) -> Path | None:
-    """Cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
+    """Return the cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
 
     None if ``H3DATA_CACHE`` is ``off`` or there is no home folder.
     """

@@ -1,4 +1,4 @@
-"""Rotations and rigid poses: the conventions of the whole package, in one place.
+"""Rotations and rigid poses, with the conventions of the whole package.
 
 World: right-handed, metres, +Y up, as Habitat and glTF. Agent root frame: x forward, y up, z right; the heading is the
 rotation about +Y, 0 faces +X, positive turns left. Quaternions are ``[x y z w]``, unit. A pose7 is
@@ -56,12 +56,12 @@ Share = TypeVar("Share", float, NDArray[np.float64], Array)
 
 
 def smoothstep(share: Share) -> Share:
-    """Return the share of a way at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
+    """Return the share of a path at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
     return share * share * (3 - 2 * share)
 
 
 def minimum_jerk(share: Share) -> Share:
-    """Return the share of a way at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
+    """Return the share of a path at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
 
     It is the minimum-jerk profile of Flash and Hogan (1985).
     """
@@ -69,12 +69,15 @@ def minimum_jerk(share: Share) -> Share:
 
 
 def add_up(values: Iterable[float]) -> float:
-    """Sum from left to right, 0.0 of none, of the same bits on all versions of Python: since 3.12, `sum` rounds otherwise."""
+    """Return the sum from left to right, 0.0 without numbers, with the same bits on all versions of Python.
+
+    Since Python 3.12, `sum` rounds otherwise.
+    """
     return reduce(operator.add, values, 0.0)
 
 
 def normalized(vectors: ArrayLike) -> Array:
-    """Unit vectors (or quaternions) along the last axis; a zero vector stays zero."""
+    """Scale vectors (or quaternions) along the last axis to unit length; a zero vector stays zero."""
     v = _floating(vectors)
     if _is_single(v) and len(v) < 8:  # NumPy sums eight and more in pairs
         numbers = v.tolist()
@@ -88,7 +91,7 @@ def normalized(vectors: ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
+    """Return cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
     if _is_single(a) and _is_single(b):
         (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
@@ -103,7 +106,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Hamilton product ``a b``, shape [..., 4]: the rotation by ``b`` followed by the one by ``a``."""
+    """Return the Hamilton product ``a b``, shape [..., 4]: the rotation by ``b`` followed by the one by ``a``."""
     if _is_single(a) and _is_single(b):
         return np.array(_product(a.tolist(), b.tolist()))  # type: ignore[union-attr]
     a, b = _floating(a), _floating(b)
@@ -130,7 +133,7 @@ def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
-    """Inverse of unit quaternions, shape [..., 4]."""
+    """Return the inverse of unit quaternions, shape [..., 4]."""
     q = _floating(q)
     # an array of the same type, so that float32 stays float32
     return q * np.array([-1, -1, -1, 1], q.dtype)
@@ -181,7 +184,7 @@ def quat_from_heading(heading_rad: ArrayLike) -> Array:
 
 
 def heading_from_quat(q: ArrayLike) -> Array:
-    """Headings [...] [rad] of the x axes of frames [..., 4]; roll and pitch are dropped."""
+    """Return the headings [...] [rad] of the x axes of frames [..., 4]; roll and pitch are dropped."""
     x, y, z, w = q.tolist() if _is_single(q) else _components(_floating(q))  # type: ignore[union-attr]
     # Bit-identical to `quat_rotate` of (1, 0, 0), signs of zeros included, without the component that goes unused
     tx, ty, tz = 2 * (y * 0 - z * 0), 2 * (z - x * 0), 2 * (x * 0 - y)
@@ -189,7 +192,7 @@ def heading_from_quat(q: ArrayLike) -> Array:
 
 
 def heading_direction(heading_rad: ArrayLike) -> Array:
-    """Unit forward vectors in the floor plane, ``(x, z)`` [..., 2], of headings [...]."""
+    """Return the unit forward vectors in the floor plane, ``(x, z)`` [..., 2], of headings [...]."""
     h = _floating(heading_rad)
     out = np.empty((*h.shape, 2), h.dtype)  # np.stack costs more than the cosines and sines of a few headings
     out[..., 0], out[..., 1] = np.cos(h), -np.sin(h)
@@ -197,7 +200,7 @@ def heading_direction(heading_rad: ArrayLike) -> Array:
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:
-    """Angles wrapped to [-pi, pi)."""
+    """Wrap angles to [-pi, pi)."""
     if isinstance(angle_rad, float):  # also NumPy's; the same bits, in a third of the time
         return (angle_rad + math.pi) % (2 * math.pi) - math.pi  # type: ignore[return-value]
     a = _floating(angle_rad)
@@ -205,7 +208,7 @@ def wrap_angle(angle_rad: ArrayLike) -> Array:
 
 
 def quat_to_matrix(q: ArrayLike) -> Array:
-    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
+    """Return the rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
     q = _floating(q)
     x, y, z, w = _components(q)
     m = np.empty((*q.shape[:-1], 3, 3), q.dtype)
@@ -222,7 +225,7 @@ def quat_to_matrix(q: ArrayLike) -> Array:
 
 
 def quat_from_matrix(matrix: ArrayLike) -> Array:
-    """Unit quaternions [..., 4] with w >= 0 of rotation matrices [..., 3, 3].
+    """Return the unit quaternions [..., 4] with w >= 0 of rotation matrices [..., 3, 3].
 
     Divides by the largest of the four components, so that no case loses precision (Shepperd's method).
     """
@@ -263,7 +266,7 @@ def _quat_of_rows(rows: list[list[float]]) -> list[float]:
 
 
 def quat_sign_continuous(q: ArrayLike) -> Array:
-    """Quaternions [T, ..., 4] with signs chosen so that none jumps to the antipode from one time (axis 0) to the next."""
+    """Choose signs of quaternions [T, ..., 4] so that none jumps to the antipode from one time (axis 0) to the next."""
     q = _floating(q)
     if len(q) < 2:
         return q.copy()
@@ -274,7 +277,7 @@ def quat_sign_continuous(q: ArrayLike) -> Array:
 
 
 def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
-    """Normalised linear blend of quaternions [..., 4] along the shorter arc; ``weight`` [...] 0 gives a, 1 gives b."""
+    """Blend quaternions [..., 4] along the shorter arc, normalised; ``weight`` [...] 0 gives a, 1 gives b."""
     if _is_single(a) and _is_single(b) and isinstance(weight, float):
         (ax, ay, az, aw), (bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
         w = -weight if ax * bx + ay * by + az * bz + aw * bw < 0 else weight
@@ -381,7 +384,7 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
 def sloped_pose(
     height_at: Callable[[Array], Array], xz: ArrayLike, heading_rad: ArrayLike, length_m: float = 0.0
 ) -> Array:
-    """World pose of an agent on a floor whose height varies, shape [..., 7]; `ground_pose` on a level floor.
+    """Return the world pose of an agent on a floor whose height varies, shape [..., 7]; `ground_pose` on a level floor.
 
     Args:
         height_at: height of the floor at points [..., 2] [m].

@@ -1,4 +1,4 @@
-"""Modules and objects that were renamed: importing an old name fails and says the new one. There are no aliases."""
+"""Modules and objects that were renamed: importing an old name fails and states the new one. There are no aliases."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ MOVED = {
     "h3data.scene.validation": "h3data_pipelines.validation.scenes",
     "h3data_pipelines.commands.penetration": "h3data_pipelines.validation.penetration",
 }
-"""New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
+"""New name of each module that was renamed. Modules of a package that has moved as a whole follow its name."""
 
 RENAMED = {
     "h3data.formats.export_format": "h3data_pipelines.format_names.export_format",
@@ -271,10 +271,8 @@ RENAMED = {
     "sim_kinematic.world.Stride": "PoseCommand",
     "sim_kinematic.world.WalkTo": "WaypointCommand",
 }
-"""New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
-
-`announce_moves` lets the old modules refuse them; one with a ``__getattr__`` of its own makes it by `lazy_names`.
-"""
+"""New name of each public object that was renamed: in the same module, or with its new module if it moved alone.
+`announce_moves` makes the old modules refuse the old names; modules with a ``__getattr__`` use `lazy_names`."""
 
 
 def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
@@ -312,7 +310,7 @@ def new_name(module: str) -> str | None:
 
 
 class MovedFinder(MetaPathFinder):
-    """Finder of last resort for modules that nothing else has found."""
+    """Import finder of last resort, for modules that no other finder has found."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -329,7 +327,7 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
+    """Import finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
 
     modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
     """Modules whose objects were renamed."""
@@ -352,6 +350,6 @@ class RenamedFinder(PathFinder):
 
 
 def announce_moves() -> None:
-    """Make imports of old names say the new ones, in this process."""
+    """Make imports of old names fail with the new names, in this process."""
     if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
         sys.meta_path[:] = [RenamedFinder, *sys.meta_path, MovedFinder()]

@@ -1,4 +1,4 @@
-"""Named things that installed packages can add to: tasks, robots, policies, metric profiles, file formats.
+"""Registries that installed packages can extend: tasks, robots, policies, metric profiles, file formats.
 
 A `Registry` knows the built-in ones from a table and third-party ones from the entry points of one group; ``module:name``
 names one that is not installed as an entry point. Nothing is imported before it is asked for.
@@ -32,7 +32,7 @@ from h3data.errors import H3DataError, InputError, PluginError, UntrustedNameErr
 T = TypeVar("T")
 
 REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-"""``module:name``, as in an entry point."""
+"""Pattern of ``module:name``, as in an entry point."""
 
 
 TRUST_VARIABLE = "H3DATA_TRUST"
@@ -53,7 +53,7 @@ def names_from_data() -> Iterator[None]:
 
 
 def come_from_data() -> bool:
-    """Return whether names come from a file now (`names_from_data`), and not from the user."""
+    """Return whether names come from a file at present (`names_from_data`), and not from the user."""
     return _FROM_DATA.get()
 
 
@@ -120,7 +120,7 @@ def _installed_modules_only() -> Iterator[None]:
 
 
 class PluginWarning(UserWarning):
-    """An installed plug-in is ignored; the others go on working."""
+    """An installed plug-in is ignored; the others still work."""
 
 
 @dataclass(frozen=True)

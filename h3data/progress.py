@@ -1,4 +1,4 @@
-"""Progress of long work on stderr: a bar on a terminal, a line every half minute where there is none (logs, CI, ``2> log``)."""
+"""Progress of long work on stderr: a bar on a terminal, otherwise a line every half minute (logs, CI, ``2> log``)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LINE_EVERY_S = 30.0
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 BEGUN = Event()
-"""Set once this process has shown progress: notices, which would come between its lines, are too late then."""
+"""Event that is set once this process has shown progress: notices would then come between progress lines."""
 
 
 def is_quiet() -> bool:
@@ -28,7 +28,7 @@ def is_quiet() -> bool:
 
 
 def say(line: str) -> None:
-    """Write a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
+    """Write a line to stderr, unless `is_quiet`; control characters of terminals are replaced."""
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()

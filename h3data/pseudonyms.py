@@ -1,4 +1,4 @@
-"""Pseudonyms of people: the same id for the same person under a secret key, which stays out of the data."""
+"""Pseudonyms of people: the same id for the same person under a secret key, which is not part of the data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ def anonymous_id(person: str, *, key: bytes) -> str:
 
 
 def participant_key_path() -> Path:
-    """Path of this user's key file: that of `KEY_VARIABLE`, else ``h3data/participants.key`` in the configuration folder."""
+    """Return the path of this user's key file.
+
+    It is that of `KEY_VARIABLE`, else ``h3data/participants.key`` in the configuration folder.
+    """
     if given := os.environ.get(KEY_VARIABLE):
         return Path(given).expanduser()
     return Path(os.environ.get("XDG_CONFIG_HOME") or "~/.config").expanduser() / "h3data" / "participants.key"

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
-    """Linear light 0..1 of sRGB values 0..1; values outside are clipped."""
+    """Convert sRGB values 0..1 to linear light 0..1; values outside are clipped."""
     x = np.clip(np.asarray(srgb, np.float64), 0, 1)
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
@@ -19,7 +19,7 @@ def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
 
 
 def bytes_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
-    """Linear light 0..1 of sRGB bytes."""
+    """Convert sRGB bytes to linear light 0..1."""
     return srgb_to_linear(np.asarray(srgb, np.float64) / 255)
 
 

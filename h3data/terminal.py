@@ -1,4 +1,4 @@
-"""Text for people to read. Names inside recordings come from strangers and may hold a terminal's control sequences."""
+"""Text for people to read. Names in recordings may come from strangers and contain a terminal's control sequences."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def split_walk(model: str) -> tuple[str, str]:
-    """Return the body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
+    """Return the body and the motion of a name; the motion is empty if the name has none. An existing file is a body."""
     # the name of a file may hold a plus itself
     if JOIN not in model or Path(model).exists():
         return model, ""
@@ -67,7 +67,7 @@ def stored_name(model: str) -> str:
 
 
 def keep_walk(data: bytes) -> str:
-    """Make a walk known to this process, from the contents of its file; return its name."""
+    """Register a gait in this process, from the contents of its file; return its name."""
     digits = 16
     name = STORED + hashlib.sha256(data).hexdigest()[:digits]
     # one copy, whichever of several recordings with this walk came first

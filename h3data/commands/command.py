@@ -1,4 +1,4 @@
-"""Shared parts of all commands: their result, common options, and care with output folders."""
+"""Shared parts of all commands: their result, common options, and safe output folders."""
 
 from __future__ import annotations
 
@@ -92,10 +92,11 @@ ShareScenesFlag = Annotated[
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marks a text option that names an entry of a registry: its help lists the names, those of plug-ins included."""
+    """Marker of a text option that names an entry of a registry: its help lists the names, plug-ins included."""
 
     names: Callable[[], Iterable[str]]
-    """Asked only when the command is chosen: finding plug-ins takes some milliseconds."""
+    """Function that returns the names. It is called only when the command is chosen: finding plug-ins takes some
+    milliseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +126,7 @@ class Command(Protocol):
 
 @dataclass(frozen=True)
 class Group:
-    """Commands that share a first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
+    """Group of commands with the same first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
 
     about: str
     commands: Mapping[str, type[Command]]
@@ -164,7 +165,7 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """Return the path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
+    """Return the path of an output file that ends in ``suffix``; raise an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
@@ -213,7 +214,7 @@ def open_episode(path: AnyPath) -> Recording:
 
 
 def recording_stem(path: Path) -> str:
-    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    """Return the name of a recording's file without its endings: ``my_session`` for ``my_session.gfx_replay.json.gz``."""
     name = path.name
     # from the last suffix inwards
     for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
@@ -241,7 +242,7 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
 
 
 def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any], ...]:
-    """Names and values of single rules of a task, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+    """Parse rules of a task from ``NAME=VALUE``, with a value as in JSON or a bare word, into names and values.
 
     ``named`` are rules that have an option of their own; None leaves one out.
 

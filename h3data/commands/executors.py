@@ -1,4 +1,4 @@
-"""Option ``--executor``: the processes or the cluster that do the work of a command."""
+"""Option ``--executor``: the processes or the cluster that execute the work of a command."""
 
 from __future__ import annotations
 

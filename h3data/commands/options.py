@@ -1,4 +1,4 @@
-"""Options of a command, read off the fields of its dataclass, and their values from text."""
+"""Options of a command, from the fields of its dataclass, and their values from text."""
 
 from __future__ import annotations
 
@@ -47,25 +47,26 @@ RENAMED = {
     "--without": "--ablate",
     "--zsc": "--unseen-partners",
 }
-"""Options of earlier versions and their names now. The old ones are refused, with the new name."""
+"""Options of earlier versions and their present names. The old names are refused with a message that states the new
+one."""
 Repeatable = tyro.conf.UseAppendAction
-"""An option of any number of values takes one each time it is given: ``--camera A --camera B``. With all of them after one
-flag, it would swallow the positional argument behind it."""
+"""An option that takes one value each time it is given: ``--camera A --camera B``. With all of them after one flag, it
+would swallow the positional argument behind it."""
 
 
 @dataclass(frozen=True)
 class OfTasks:
-    """Marks an option that only some tasks have: the others refuse it, and their help leaves it out.
+    """Marker of an option that only some tasks have: the others refuse it, and their help leaves it out.
 
     A task that is given as ``module:Class`` may have it."""
 
     has: Callable[[str], bool]
-    """Function that is asked with the name of a task."""
+    """Function that returns whether the option applies to a task, by the task's name."""
 
 
 @dataclass(frozen=True)
 class TaskNotes:
-    """Marks an option that means something different in each task: the help of a task adds its sentence."""
+    """Marker of an option whose meaning depends on the task: the help of a task adds its sentence."""
 
     note: Callable[[str], str]
     """Function that returns the sentence for the name of a task; empty: there is none."""
@@ -77,14 +78,15 @@ class Option:
 
     field: str
     flags: tuple[str, ...]
-    """``-o``, ``--out``; ``--camera``, ``--cameras`` of one that takes several values; empty for a positional argument."""
+    """Names of the option: ``-o``, ``--out``; ``--camera``, ``--cameras`` if it takes several values; empty for a
+    positional argument."""
     required: bool
     kind: Any
     """Type of one value, without None."""
     count: int | None
     """Number of values, None for any number."""
     metadata: tuple[Any, ...]
-    """Markers of tyro."""
+    """Annotations of the option for tyro."""
 
     @property
     def name(self) -> str:
@@ -93,7 +95,7 @@ class Option:
 
     @property
     def word_type(self) -> Any:
-        """Type for assigning words to the option without reading them: flags are read, values stay text."""
+        """Type for assigning words to the option without parsing them: flags are parsed, values stay text."""
         if self.kind is bool:
             return annotated(bool, self.metadata)
         if self.count is None and self.flags:
@@ -107,7 +109,7 @@ class Option:
 
     @property
     def of_tasks(self) -> OfTasks | None:
-        """Mark that says which tasks have the option; None if all have it."""
+        """Marker that restricts the option to some tasks; None if all have it."""
         return next((mark for mark in self.metadata if isinstance(mark, OfTasks)), None)
 
     def note(self, task: str) -> str:
@@ -313,7 +315,7 @@ def in_python_words(message: str, command: type[Command]) -> str:
 
 
 def command_line(name: str, command: Command) -> str:
-    """Command line that repeats a command, without options that do not affect its result.
+    """Return the command line that repeats a command, without options that do not affect its result.
 
     Paths are shortened to their last part where they lead outside the working folder, since the line is stored in
     datasets that are given to others.

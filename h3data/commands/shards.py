@@ -1,4 +1,4 @@
-"""The one interface through which commands hand work to processes.
+"""Interface through which commands distribute work to processes.
 
 A *shard* is a piece of a job that depends on nothing but itself: work may be lost with the process that does it, and done
 again by another, with the same result. Results are values, so that a machine needs no disk in common with this one to make
@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 
 class LostShardError(H3DataError):
-    """Shard that no process lived long enough to finish, however often it was tried."""
+    """Error about a shard whose process died in every attempt."""
 
 
 class Executor(Protocol):
@@ -25,12 +25,12 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """Number of shards that are worked on at the same time."""
+        """Number of shards that are processed at the same time."""
         ...
 
     @property
     def threads(self) -> int:
-        """Threads that each of them may use."""
+        """Number of threads that each process may use."""
         ...
 
     def run(

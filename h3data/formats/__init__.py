@@ -1,4 +1,4 @@
-"""File formats: what a file is, judged by its content; what reads it as a recording; what writes recordings in it.
+"""File formats: detection by content, readers into recordings, and writers of recordings.
 
 One table (`h3data.formats.builtin_formats`) lists the built-in formats. Installed packages add theirs by entry points of
 the group ``h3data.formats``, each of which is a `Format` (h3data docs import). Readers and writers are imported at first use.

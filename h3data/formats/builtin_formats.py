@@ -1,4 +1,4 @@
-"""The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken.
+"""Built-in file formats, and how each is recognised. The first format that fits is used, so the order matters.
 
 Habitat's and those of ROS are recognised here, so that a message can name them; what reads and writes them comes from
 h3data_habitat and h3data_ros by the group ``h3data.formats``, whose entries take the places of the rows with their names.
@@ -192,6 +192,6 @@ TABLES = (
         ),
     ),
 )
-"""Formats of text that plug-ins may know better: they are asked first."""
+"""Formats of text that plug-ins may recognize better, so that plug-ins are asked first."""
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

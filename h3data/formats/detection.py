@@ -167,5 +167,5 @@ def _third_party_formats(file: SourceFile) -> Iterator[Format]:
 
 
 def export_options() -> Mapping[str, Format]:
-    """Formats that recordings can be exported to, by their names on the command line."""
+    """Return the formats that recordings can be exported to, by their names on the command line."""
     return {one.option: one for one in FORMATS.load_all().values() if one.write is not None}

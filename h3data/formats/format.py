@@ -1,4 +1,4 @@
-"""Records that describe a file format, for the built-in table and for plug-ins alike."""
+"""Records that describe a file format, for built-in formats and plug-ins."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ class Format:
     name: str
     """Name in tables, JSON and entry points, such as ``gfx_replay``; with dashes on the command line."""
     title: str
-    """A noun phrase for messages: "a gfx-replay recording"."""
+    """Noun phrase for messages, such as "a gfx-replay recording"."""
     begins: re.Pattern[bytes] | None = None
-    """Matches the first bytes of such files, after gzip and a byte order mark."""
+    """Pattern of the first bytes of such files, after gzip and a byte order mark."""
     members: Callable[[Mapping[str, Any], str], bool] | None = None
-    """Function that returns whether a JSON document with these top-level members, in a file of this name, has the format. Only
-    ``keyframes`` is decoded; other objects are shown as {}, anything else as None."""
+    """Function that returns whether a JSON document with these top-level members, in a file of this name, has the
+    format. Only ``keyframes`` is decoded; other objects are given as {}, anything else as None."""
     suffixes: tuple[str, ...] = ()
-    """Endings of file names. `h3data import` collects them from folders; they decide only where neither ``begins`` nor
-    ``members`` is given."""
+    """Endings of file names. `h3data import` collects files with them from folders; they decide the format only where
+    neither ``begins`` nor ``members`` is given."""
     hint: str = ""
     """Advice for users who give such a file where a recording is expected."""
 
     read: Function = None
-    """Called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes again); returns a
-    `h3data.recording.Recording`."""
+    """Function that is called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes
+    again) and returns a `h3data.recording.Recording`."""
     read_options: tuple[Literal["fps", "assets", "tracks"], ...] = ()
     """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
     `h3data.recording.assets.library.AssetLibrary`; ``tracks``, an `ImportRequest`."""
 
     write: Function = None
-    """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
-    `ExportRequest`; returns an `Exported`."""
+    """Function that is called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated
+    repeatedly) and an `ExportRequest`, and returns an `Exported`."""
     write_options: tuple[
         Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras", "storage", "lidar"], ...
     ] = ()
-    """Options of `h3data export` that apply; the others are refused."""
+    """Names of options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
@@ -56,7 +56,7 @@ class Format:
 
     @property
     def option(self) -> str:
-        """The name on the command line."""
+        """Name of the format on the command line."""
         return self.name.replace("_", "-")
 
 
@@ -69,7 +69,7 @@ class ImportRequest:
     robot: str = ""
     """Frame or topic of the robot in a bag, or its id in a file of tracks."""
     map: Path | None = None
-    """The yaml file of an occupancy map, whose walls become the scene."""
+    """Path of the yaml file of an occupancy map, whose walls become the scene."""
     goal: str = ""
     """Goal of the robot, ``x,y`` in the frame of the map [m]."""
     columns: Sequence[str] = ()
@@ -89,11 +89,11 @@ class ExportRequest:
     """Options of an export, besides the recordings."""
 
     out: Path
-    """The file or folder to write; parents of a file, and the folder, exist."""
+    """File or folder to write; parents of a file, and the folder, exist."""
     force: bool = False
     """True if existing files may be replaced."""
     agent: str | None = None
-    """The agent whose actions are exported (default: the first robot that acts)."""
+    """Name of the agent whose actions are exported (default: the first robot that acts)."""
     assets: Sequence[Path] = ()
     """Folders below which recorded asset files are searched."""
     person_detail: PersonDetail = "full"
@@ -109,15 +109,16 @@ class ExportRequest:
     lidar: int = 0
     """Number of rays of a lidar that is cast into the scene for each robot; 0 for none."""
     stored_cameras: Sequence[str] = ()
-    """Cameras of which all recordings have a video in the dataset that they come from."""
+    """Cameras whose videos are in the source dataset for all recordings."""
     stored_videos: Callable[[int], Sequence[Any]] = lambda number: ()
-    """The `h3data.recording.parquet.videos.EpisodeVideo` records of a recording, by its number, in that dataset."""
+    """Videos of a recording in the source dataset, `h3data.recording.parquet.videos.EpisodeVideo` records by number of
+    the recording."""
     threads: int = 1
     """Number of threads for rendering."""
     backend: Any = "cpu"
     """Back end that renders, a `h3data.replay.stage.FrameBackend`."""
     progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items
-    """Wraps an iterable to show progress."""
+    """Function that wraps an iterable to show progress."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Bytes and JSON of other programs' files: unpacked within limits, read once for detection and reading alike."""
+"""Bytes and JSON of other programs' files: unpacked within limits, and read once for detection and reading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.errors import FormatError, InputError
 CHUNK_BYTES = 1 << 20
 UNPACKED_BYTES = 64 << 20
 UNPACKED_RATIO = 200
-"""Gzip data may unpack to `UNPACKED_BYTES`, or to this many times its own size (JSON of recordings: 5 to 30 times)."""
+"""Largest ratio of unpacked to packed size of gzip data above `UNPACKED_BYTES` (JSON of recordings: 5 to 30)."""
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
@@ -43,17 +43,17 @@ class SourceFile(os.PathLike[str]):
 
     @cached_property
     def head(self) -> bytes:
-        """The first chunk."""
+        """First chunk of the content."""
         self._rest = byte_chunks(self.path, self._size)
         return next(self._rest, b"")
 
     @cached_property
     def data(self) -> bytes:
-        """The whole content, held in memory."""
+        """Whole content, held in memory."""
         return b"".join(self.chunks())
 
     def chunks(self) -> Iterator[bytes]:
-        """The content in pieces, which are held only by the caller."""
+        """Yield the content in pieces, which only the caller holds in memory."""
         if "data" in self.__dict__:
             yield self.data
             return
@@ -68,7 +68,7 @@ class SourceFile(os.PathLike[str]):
 
 
 def byte_chunks(path: Path, size: int = CHUNK_BYTES) -> Iterator[bytes]:
-    """The content of a file, unpacked if it is gzip, in pieces of at most ``size`` bytes.
+    """Yield the content of a file, unpacked if it is gzip, in pieces of at most ``size`` bytes.
 
     Raises:
         InputError: there is no such file, or it cannot be read.

@@ -57,7 +57,7 @@ def _check(state: Any) -> None:
 
 
 class BorrowingCompiler(PartCompiler):
-    """`PartCompiler` with `_BorrowingLowering`."""
+    """Compiler of functions that only borrow arrays: `PartCompiler` with `_BorrowingLowering`."""
 
     def define_pipelines(self) -> list[Any]:
         """Return the pipelines of parts, with `_BorrowingLowering` in place of `_PartLowering`."""

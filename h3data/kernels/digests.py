@@ -1,4 +1,4 @@
-"""Digests of what goes into the machine code of a kernel.
+"""Digests of everything that determines the machine code of a kernel.
 
 `source_digest` covers whole files and is the stamp of numba's cache. `code_digest` covers only what a kernel reaches - byte
 code, constants and intrinsics, through all functions that it calls - so that compiled kernels that are shipped
@@ -31,7 +31,7 @@ OURS = (
     "h3data_pipelines",
     "sim_kinematic",
 )
-"""Packages whose sources are part of the digests."""
+"""Names of packages whose sources are part of the digests."""
 
 
 # --- files --------------------------------------------------------------------------------------------------------------
@@ -62,7 +62,7 @@ def source_digest(module: str) -> str:
 
 # --- kernels ------------------------------------------------------------------------------------------------------------
 class UnknownError(Exception):
-    """A kernel reads something whose digest nobody has defined; it is compiled on the machine where it runs."""
+    """Error about a kernel that reads something without a digest; it is compiled on the machine where it runs."""
 
 
 def code_digest(kernel: Any) -> str:

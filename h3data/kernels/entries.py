@@ -1,4 +1,4 @@
-"""Calls of kernels without a look at the types of their arguments."""
+"""Calls of kernels without checks of the types of their arguments."""
 
 from __future__ import annotations
 

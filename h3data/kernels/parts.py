@@ -63,10 +63,10 @@ class _PartLowering(NativeLowering):
 
 
 class PartCompiler(Compiler):
-    """numba's compiler, with `_PartLowering` in place of `NativeLowering`."""
+    """Compiler of numba with `_PartLowering` in place of `NativeLowering`."""
 
     def define_pipelines(self) -> list[Any]:
-        """numba's pipelines, with `_PartLowering` in place of `NativeLowering`."""
+        """Return numba's pipelines, with `_PartLowering` in place of `NativeLowering`."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             pipeline.passes[:] = [

@@ -1,4 +1,4 @@
-"""Machine code of kernels that comes with the package ``h3data_kernels``, so that nobody waits for it to be compiled.
+"""Machine code of kernels from the package ``h3data_kernels``, which avoids waiting for compilation.
 
 A file holds one kernel for one list of argument types, as numba pickles it for its own cache, with xz. Its name has the
 digests of all that went into it (`h3data.kernels.digests`), and its folder the versions of Python and numba, the system and
@@ -39,7 +39,8 @@ from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
 log = logging.getLogger(__name__)
 
 LEVEL = "x86-64-v3"
-"""Name of the set `LEVEL_FEATURES`; shipped code is as fast as that for the very processor, but for AVX-512 in step kernels."""
+"""Name of the set `LEVEL_FEATURES`. Code for this level is as fast as code for the machine's own processor, except step
+kernels with AVX-512."""
 LEVEL_FEATURES = (
     "avx",
     "avx2",
@@ -137,7 +138,7 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
 
 
 def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
-    """Keep what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
+    """Store what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
     if RECORD not in os.environ or dispatcher.py_func.__module__.split(".")[0] not in OURS:
         return
     name = file_name(dispatcher, kinds)

@@ -28,7 +28,7 @@ class GltfArrays:
     """Decoders of compressed buffer views, by the extension that describes them."""
     document: dict[str, Any]
     buffer: Callable[[int], bytes | memoryview]
-    """Returns all bytes of a buffer by index; may raise `ValueError`."""
+    """Function that returns all bytes of a buffer by index; it may raise `ValueError`."""
     _unpacked: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def accessor(self, index: object) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""GLB containers (glTF 2.0 binary): the JSON document, the binary chunk, and records that all writers share."""
+"""GLB containers (glTF 2.0 binary): the JSON document, the binary chunk, and records for all writers."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from h3data.geometry import Array, normalized
 from h3data.mesh.png import png_bytes
 
 FLOAT32, UINT32, UINT16, INT16, UINT8 = 5126, 5125, 5123, 5122, 5121
-"""``componentType`` of an accessor."""
+"""Values of ``componentType`` of an accessor."""
 VERTICES, INDICES = 34962, 34963
-"""``target`` of a buffer view."""
+"""Values of ``target`` of a buffer view."""
 
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
 
@@ -72,7 +72,7 @@ class GlbChunk:
         return len(self.accessors) - 1
 
     def lists(self) -> dict[str, Any]:
-        """Members of the document that describe the contents of the chunk."""
+        """Return the members of the document that describe the contents of the chunk."""
         return {
             "accessors": self.accessors,
             "bufferViews": self.views,
@@ -89,7 +89,7 @@ def gltf_document(
 
 
 def placement(pose: Array, scale: Array) -> dict[str, Any]:
-    """Members of a node that place it: pose7 and scale, both float64."""
+    """Return the members of a node that place it: pose7 and scale, both float64."""
     rotation = np.clip(normalized(pose[3:]), -1, 1)  # validators refuse 1.0000000000000002
     return {"translation": pose[:3].tolist(), "rotation": rotation.tolist(), "scale": scale.tolist()}
 
@@ -101,7 +101,7 @@ def matte(texture: int | None = None, **more: Any) -> dict[str, Any]:
 
 
 def cutout(pixels: NDArray[np.uint8]) -> dict[str, Any]:
-    """Members of a material whose texture [H, W, 4] is not opaque everywhere."""
+    """Return the members of a material whose texture [H, W, 4] is not opaque everywhere."""
     return {} if (pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
 
 
@@ -121,7 +121,7 @@ def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
 
 
 def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[str, Any], memoryview]:
-    """JSON document and binary chunk (a view of ``data``, maybe empty) of a GLB.
+    """Return the JSON document and binary chunk (a view of ``data``, maybe empty) of a GLB.
 
     Args:
         data: the bytes of the file.

@@ -1,4 +1,4 @@
-"""Reads glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
+"""Reader of glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
 
 Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins stand
 as their joints do in the file (`h3data.recording.assets.skinned_meshes` poses them), morph targets have the weights of the
@@ -127,7 +127,7 @@ class GltfFile:
         ]
 
     def instances(self, index: int) -> NDArray[np.float64]:
-        """Return the matrices [N, 4, 4] in the node's frame at which it shows its mesh; one if it is not instanced."""
+        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame; one if it is not instanced."""
         where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
         record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
         found = {
@@ -157,7 +157,7 @@ class GltfFile:
 
     # --- triangles ----------------------------------------------------------------------------------------------------
     def mesh(self, node: dict[str, Any]) -> list[PlainMesh]:
-        """Primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
+        """Return the primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
 
         Morph targets are added with the node's weights, or else with the mesh's.
         """
@@ -186,7 +186,7 @@ class GltfFile:
                 _log.warning("%s has no POSITION, it is left out: %s", where, self.path)
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
-        """Every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
+        """Yield every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
 
         A skin comes posed in that frame by its joints: the transforms of its node do not count (glTF 3.7.3.3).
         """
@@ -204,7 +204,7 @@ class GltfFile:
             yield posed, place
 
     def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
-        """Every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
+        """Yield every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
         placed = self._placed_meshes()
         meshes = {node["mesh"] for node, _ in placed}
         # from the counts of accessors, before anything is read: a few bytes can instance a mesh a million times

@@ -28,13 +28,13 @@ class Look:
     opacity: float = 1.0
     texture: Texture | None = None
     uv_set: int = 0
-    """The n of ``TEXCOORD_n``."""
+    """Number n of the attribute ``TEXCOORD_n``."""
     uv_transform: NDArray[np.float64] | None = None
     """Matrix [2, 3] applied to the file's texture coordinates; None leaves them."""
 
 
 class GltfMaterials:
-    """The materials of one document. If images cannot be read, one warning says so; their materials keep the factor."""
+    """Materials of one document. One warning reports all unreadable images; their materials keep the factor."""
 
     def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
         self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where
@@ -44,7 +44,7 @@ class GltfMaterials:
         self._warned = False
 
     def look(self, index: object) -> Look:
-        """Return the look of ``materials[index]``."""
+        """Return the appearance of ``materials[index]``."""
         record = entry(self._document, "materials", index)
         assert isinstance(index, int)
         if index not in self._looks:

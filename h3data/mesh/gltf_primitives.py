@@ -18,7 +18,7 @@ from h3data.mesh.mesh import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (204, 204, 204)
-"""sRGB of surfaces without a colour in their file."""
+"""Colour (sRGB) of surfaces without a colour in their file."""
 MAX_TRIANGLES = 30_000_000
 """Limit of triangles per file, instances counted; larger files are refused before anything is read."""
 
@@ -49,7 +49,7 @@ def has_positions(primitive: dict[str, Any]) -> bool:
 
 
 def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) -> int:
-    """Upper bound of the triangles of a primitive, from the accessors' counts alone."""
+    """Return an upper bound of the triangles of a primitive, from the accessors' counts alone."""
     attributes = _object(primitive, "attributes", where)
     index = primitive.get("indices", attributes.get("POSITION"))
     count = natural(entry(arrays.document, "accessors", index), "count", f"accessors[{index}]")
@@ -236,7 +236,7 @@ def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArr
 
 
 def nearest_texels(texture: Texture, uv: NDArray[Any]) -> NDArray[np.uint8]:
-    """Texels [V, 4] at texture coordinates [V, 2], which repeat outside 0..1."""
+    """Return the texels [V, 4] at texture coordinates [V, 2], which repeat outside 0..1."""
     height, width = texture.pixels.shape[:2]
     # the remainder of a tiny negative number is rounded to 1.0
     column = np.minimum((uv[:, 0] % 1.0 * width).astype(int), width - 1)

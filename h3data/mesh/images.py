@@ -1,4 +1,4 @@
-"""Decodes images of mesh files: PNG, JPEG, WebP and whatever else Pillow reads, and KTX2 with Basis Universal.
+"""Decoding of images in mesh files: PNG, JPEG, WebP and other formats of Pillow, and KTX2 with Basis Universal.
 
 The size is read from the header and checked before anything is decoded.
 """
@@ -20,8 +20,8 @@ from h3data.mesh.png import MAX_PX
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MAX_SIDE_PX, MAX_FILE_PX = 2048, 1 << 27
-"""Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each. All images
-of one file have at most `MAX_FILE_PX` texels (512 MiB): beyond it, the largest are reduced until they fit."""
+"""Largest side of an image, and largest number of texels in all images of one file (512 MiB). Larger images are reduced
+by 2, 4, ... until they fit; a picture of a room shows no more detail."""
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
@@ -33,7 +33,7 @@ _textures: WeakValueDictionary[tuple[Any, ...], Texture] = WeakValueDictionary()
 
 
 def image_size(data: bytes | memoryview) -> tuple[int, int]:
-    """Width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
+    """Return the width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
     if data[:12] == _KTX2:
         if len(data) < 80:
             raise SceneError("it is cut off", code="H3-MESH-016")

@@ -1,4 +1,4 @@
-"""Loads meshes from GLB, glTF, OBJ, PLY, STL and Collada files: +Y up, metres, with colours and textures."""
+"""Loading of meshes from GLB, glTF, OBJ, PLY, STL and Collada files: +Y up, metres, with colours and textures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Triangle meshes and their textures, as mesh files are read into them and written from them."""
+"""Triangle meshes and their textures, independent of file formats."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Mesh:
     """Texture coordinates per vertex as in glTF, shape [V, 2]: (0, 0) is the image's upper left corner, (1, 1) its lower
     right one, and it repeats outside."""
     textures: tuple[Texture, ...] = ()
-    """A surface shows texel times vertex colour, multiplied in linear light."""
+    """Textures of the mesh. A surface shows texel times vertex colour, multiplied in linear light."""
     face_textures: NDArray[np.int16] | None = None
     """Index into ``textures`` per triangle, -1 = none, shape [F]; None gives all triangles the first texture."""
 

@@ -1,4 +1,4 @@
-"""Operations on meshes: joining, painting, moving, flat shading."""
+"""Operations on meshes: joining, colouring, moving, flat shading."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _face_textures(mesh: Mesh, textures: Sequence[Texture]) -> NDArray[np.int16]
 
 
 def face_texture_indices(mesh: Mesh) -> NDArray[np.int16]:
-    """Texture of each triangle as an index into the mesh's ``textures``, -1 = none, shape [F]."""
+    """Return the texture of each triangle as an index into the mesh's ``textures``, -1 = none, shape [F]."""
     if mesh.face_textures is not None:
         return mesh.face_textures
     return np.full(len(mesh.faces), 0 if mesh.textures else -1, np.int16)

@@ -15,7 +15,7 @@ class ThinMesh:
     """A subset of a mesh's vertices and the triangles between them."""
 
     keep: NDArray[np.int64]
-    """Indices of the kept vertices in the full mesh, shape [K]; they thin other poses of the mesh just as well."""
+    """Indices of the remaining vertices in the full mesh, shape [K]; they thin other poses of the mesh equally well."""
     faces: NDArray[np.int32]
     """Indices into ``keep``, shape [F, 3]."""
 

@@ -1,4 +1,4 @@
-"""The profile ``task``: success, reward, time and contacts of any task, from the columns that its recorder writes.
+"""Profile ``task``: success, reward, time and contacts of any task, from the columns that its recorder writes.
 
 It measures every recording, including those of tasks that no other profile names: what a recording lacks is undefined.
 """

@@ -40,12 +40,13 @@ class Part:
     episodes: range | None
     """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Name of the job that the part belongs to; datasets stay open within a job."""
+    """Name of the job of the part; within a job, datasets stay open."""
 
 
 F = TypeVar("F")
 Spread = Callable[[Callable[[Part], F], Sequence[Part]], Iterable[F]]
-"""Applies a function to parts, anywhere, and gives its results in their order; `map` does it here."""
+"""Function that applies a function to parts, on any machine, and returns the results in the order of the parts; `map`
+does it in this process."""
 Measured = EpisodeMetrics | tuple[str, str, str]
 """Metrics without the functions that compute them, or the name, message and reason of an episode that was left out.
 
@@ -58,12 +59,12 @@ class LeftOut:
     """An episode that cannot be measured."""
 
     name: str
-    """Path of the log, or ``ds#3``."""
+    """Path of the log, or dataset and number such as ``ds#3``."""
     error: UnmeasurableError | FormatError
 
     @property
     def reason(self) -> str:
-        """Reason why the episodes were left out: one that they share, or the fault of a damaged one."""
+        """Reason why the episodes were left out: a common one, or the fault of a damaged one."""
         return self.error.reason if isinstance(self.error, UnmeasurableError) else str(self.error)
 
 
@@ -99,7 +100,10 @@ def measure_tables(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> tuple[MetricsTable, ...]:
-    """Measures files as `measure_files`, with a table for each task whose metrics differ; the first lists what is left out."""
+    """Measure files as `measure_files` does, with a table for each task whose metrics differ.
+
+    The notes of the first table list what is left out.
+    """
     rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
     for row in rows:
@@ -117,7 +121,7 @@ def measure_sources(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> Iterator[EpisodeMetrics | LeftOut]:
-    """Yield the metrics of each episode of datasets and logs in order, or the reason why there are none.
+    """Yield the metrics of each episode of datasets and logs in order, or the reason for failure.
 
     A chunk of episodes per worker is in memory.
     """
@@ -169,7 +173,10 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """The episodes of a part by their numbers, from a dataset with no more than the profile reads; of damaged ones, why."""
+    """Yield the episodes of a part by their numbers; instead of a damaged one, the error.
+
+    Of a dataset, only the columns that the profile needs are read.
+    """
     if part.episodes is None:
         yield 0, read_log(part.source)
         return
@@ -191,7 +198,7 @@ def _opened(source: AnyPath, job: str) -> Dataset:
 
 
 def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
-    """Metrics without the functions that compute them."""
+    """Return the metrics without the functions that compute them, to send them between processes."""
     return replace(measured, metrics=_described(measured.metrics))
 
 

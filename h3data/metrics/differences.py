@@ -21,7 +21,7 @@ from h3data.terminal import aligned
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Differences:
-    """``first - second`` of each metric, episode by episode."""
+    """Difference ``first - second`` of each metric, episode by episode."""
 
     profile: str
     metrics: tuple[Metric, ...]
@@ -37,7 +37,7 @@ class Differences:
     """Means, interval, test and effect size by metric."""
 
     def changed(self, metric: str) -> list[tuple[str, float, float]]:
-        """Episodes whose value differs: (episode_id, first, second), largest differences first, undefined ones last."""
+        """Return ``(episode_id, first, second)`` of episodes whose value differs, largest first, undefined ones last."""
         a, b = self.first[metric], self.second[metric]
         # NaN equals nothing, but undefined in both runs is no change
         rows = np.flatnonzero(~((a == b) | (np.isnan(a) & np.isnan(b))))

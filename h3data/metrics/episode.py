@@ -1,4 +1,4 @@
-"""The measurement of one episode: values, notes about them, and the rows in which something happened."""
+"""Measurement of one episode: values, notes about them, and the rows in which notable events happened."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EpisodeMetrics:
     metrics: tuple[Metric, ...]
     """Definitions of the metrics, in the order of ``values``."""
     values: Mapping[str, float]
-    """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
+    """Values by metric name; NaN = this recording does not determine it, see ``notes``."""
     notes: Mapping[str, str]
     """Reasons by metric name: why it is undefined, or what replaced missing data."""
     robot: int = -1
@@ -41,12 +41,12 @@ class EpisodeMetrics:
     task: str
     """Task of the metrics; for profiles that measure any task, that of the recording."""
     task_is_assumed: bool = False
-    """The recording, a gfx-replay, does not say its task: ``task`` is what it was taken for."""
+    """True if the recording, a gfx-replay, does not state its task, so that ``task`` is an assumption."""
     scene: str = ""
     dt_ns: int = STEP_NS
     """Nominal time between steps of the recording [ns]."""
     units: str = "SI"
-    """``info:units`` of the recording."""
+    """Entry ``info:units`` of the recording."""
     protocol_deviations: str = ""
     """Rules of the episode that differ from the paper's; empty for other profiles."""
     participant: str = ""
@@ -54,11 +54,11 @@ class EpisodeMetrics:
     condition: str = ""
     """Condition of a study, ``info:condition``."""
     policy: str = ""
-    """``info:policy``: the policy of the robot."""
+    """Policy of the robot, ``info:policy``."""
     partner: str = ""
     """Policy of the person, ``info:partner``; of a recording that several partners share, one of them (`for_each_partner`)."""
     max_steps: int = 0
-    """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
+    """Longest duration, ``info:max_steps``; the number of rows if it is not recorded."""
 
     @property
     def encounter_row(self) -> int:
@@ -124,7 +124,7 @@ class EpisodeMetrics:
 
 
 def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """Return a sentence on recordings of one profile that do not say their task, and what else measures them.
+    """Return a sentence on recordings of one profile that do not state their task, and on profiles of other tasks.
 
     The text is empty without such recordings.
     """
@@ -143,20 +143,26 @@ def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
 
 
 def deviation_lines(deviations: Iterable[str]) -> list[str]:
-    """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
+    """Return lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`).
+
+    The most frequent ones come first.
+    """
     counted = Counter(text for text in deviations if text)
     lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
     return ["Rules that differ from the paper's, so its numbers do not compare:", *lines] if lines else []
 
 
 def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
-    """Lines about notes, each with the names of its metrics; none without any."""
+    """Return the lines about notes, each with the names of its metrics; none without any."""
     lines = [f"  {', '.join(names)}: {text}" for text, names in notes.items()]
     return ["Notes", *lines] if lines else []
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
+    """Return the partners with the same plan, who share a recording.
+
+    They are in ``info["partners"]`` of recordings of ``h3data evaluate --save-recordings``.
+    """
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
 

@@ -23,7 +23,7 @@ class StatsConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RewardConfig:
-    """``SocialNavReward``; -1 switches a part off."""
+    """Settings of habitat-lab's ``SocialNavReward``; -1 switches a part off."""
 
     safe_dis_min: float = 1.0
     safe_dis_max: float = 2.0

@@ -1,4 +1,4 @@
-"""The record of one metric: formula, unit, source, and what it reads."""
+"""Record of one metric: formula, unit, source, and required data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Series = Mapping[str, NDArray[Any]]
 
 
 ARROWS: dict[Direction, str] = {"higher": "up", "lower": "down", "neither": ""}
-"""The better direction in tables."""
+"""Arrow for the better direction in tables."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,24 +26,24 @@ class Metric:
     """Metric of one profile."""
 
     id: str
-    """``profile/task/name@version``; a change of meaning gets a new version."""
+    """Identifier ``profile/task/name@version``; a change of meaning gets a new version."""
     name: str
-    """Key in results: ``S``."""
+    """Key of the metric in results, such as ``S``."""
     title: str
     formula: str
     unit: str = "1"
-    """``1`` for ratios and flags."""
+    """Unit; ``1`` for ratios and flags."""
     range: tuple[float, float] = (-INF, INF)
     """Smallest and largest possible value."""
     direction: Direction = "neither"
-    """The better direction; ``neither`` if the source names none."""
+    """Better direction; ``neither`` if the source names none."""
     source: str = ""
     """Paper, section or code that defines the metric."""
     columns: tuple[str, ...] = ()
     """Required data. ``<robot>`` and ``<human>`` are agent numbers, ``<i>`` is every agent; ``info:<key>`` is a key of
     `Episode.info`, ``events:<kind>`` a kind of event. ``a or b``: one of the two is enough."""
     optional: tuple[str, ...] = ()
-    """Data read where present; a note says what replaces it."""
+    """Columns that are read where present; a note states their replacement if they are missing."""
     undefined: str = ""
     """Description of the episodes in which the metric has no value."""
     series: tuple[str, ...] = ()
@@ -60,10 +60,10 @@ class Metric:
 
     @property
     def profile(self) -> str:
-        """Name of the metric's profile: ``paper``."""
+        """Name of the metric's profile, such as ``paper``."""
         return self.id.split("/")[0]
 
     @property
     def task(self) -> str:
-        """Task or group that the metric belongs to: ``social_nav``."""
+        """Task or group of the metric, such as ``social_nav``."""
         return self.id.split("/")[1]

@@ -1,4 +1,4 @@
-"""A profile: one definition of the metrics of some tasks, with the functions that compute them."""
+"""Profiles: definitions of the metrics of some tasks, with the functions that compute them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GFX_REPLAY = "gfx_replay"
 
 @dataclass(frozen=True, kw_only=True)
 class Computed:
-    """The numbers that a profile computes for one recording."""
+    """Values that a profile computes for one recording."""
 
     values: Mapping[str, float]
     """Values by metric name; metrics left out are undefined."""
@@ -37,7 +37,7 @@ def _no_series(_recording: Recording) -> Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """Profile: a set of definitions of metrics for some tasks.
+    """Set of metric definitions for some tasks.
 
     Example::
 
@@ -63,7 +63,7 @@ class Profile:
     """
 
     name: str
-    """First part of the ids of the profile's metrics: ``paper``."""
+    """Name of the profile, such as ``paper``: the first part of the ids of its metrics."""
     title: str
     """Title of the profile, one line for lists."""
     metrics: tuple[Metric, ...]
@@ -71,15 +71,16 @@ class Profile:
     tasks: tuple[str, ...] = ()
     """Values of `Episode.task` that the profile measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
-    """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
+    """Function that computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """Function that computes the metrics of several recordings at once, instead of `compute`: on one episode, NumPy's
     calls take longer than the arithmetic."""
     series: Callable[[Recording], Series] = _no_series
-    """Computes the per-row quantities and flags [T] behind the metrics."""
+    """Function that computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
     beside: str = ""
-    """Key of `Episode.info`. Reports measure recordings that have it by this profile too, in a table of its own."""
+    """Key of `Episode.info`. Reports also measure recordings that have this key by this profile, in a table of its
+    own."""
 
     def __post_init__(self) -> None:
         wrong = [m.id for m in self.metrics if m.profile != self.name]
@@ -114,7 +115,7 @@ class Profile:
         return self._measured(recording, notes, self._computed(recording, notes))
 
     def measure_many(self, recordings: Sequence[Recording]) -> list[EpisodeMetrics | UnmeasurableError]:
-        """Compute all metrics of the profile for several recordings, or the reason why there are none."""
+        """Compute all metrics of the profile for several recordings; for each that fails, the reason."""
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which

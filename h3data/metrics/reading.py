@@ -66,7 +66,7 @@ def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[
 
 
 def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
-    """Consecutive episodes that are read together, all of one shard, so that no file is opened twice."""
+    """Yield ranges of consecutive episodes to be read together, all of one shard, so that no file is opened twice."""
     start, steps, shard = episodes.start, 0, -1
     for index in episodes:
         row = dataset.rows[index]

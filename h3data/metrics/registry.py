@@ -21,7 +21,7 @@ from h3data.plugins import Registry, names_from_data
 from h3data.recording.records import Recording
 
 ANY_TASK = "task"
-"""Profile of tasks that no other profile names."""
+"""Name of the profile for tasks that no other profile names."""
 
 
 def _check(loaded: Any) -> None:
@@ -50,7 +50,7 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
 
 @functools.cache  # entry points are files: looking them up again for each of 10,000 episodes would take a minute
 def profiles_named(name: str) -> tuple[Profile, ...]:
-    """Return the profiles that a name or ``module:name`` stands for, one per task.
+    """Return the profiles of a name or ``module:name``, one per task.
 
     Raises:
         InputError: nothing has this name; the message lists the names.

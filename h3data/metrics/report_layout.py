@@ -32,12 +32,12 @@ class PublishedRow:
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedTable:
-    """A table of a paper, to be shown beside measured values."""
+    """A table of a paper, for comparison with measured values."""
 
     paper: str
     """Short name of the paper: ``Habitat 3.0``."""
     source: str
-    """Paper, section and table."""
+    """Paper, section and number of the table."""
     rows: tuple[PublishedRow, ...]
 
     def row_of(self, policy: str) -> PublishedRow | None:
@@ -66,14 +66,14 @@ class PublishedContrasts:
 
 @dataclass(frozen=True, kw_only=True)
 class Milestone:
-    """An event of an episode: shown as a key frame, and as the share of episodes that have reached it by then."""
+    """An event of an episode, for key frames and for charts of the share of episodes that have reached it."""
 
     flag: str
-    """Flag of the profile's series; the event is its first row."""
+    """Flag of the profile's series; the milestone is its first row."""
     title: str
-    """Title of the chart: ``Person found by then``."""
+    """Title of the chart, such as ``Person found by then``."""
     label: str
-    """Caption of the key frame: ``finds the person``."""
+    """Caption of the key frame, such as ``finds the person``."""
     metric: str
     """Metric that is undefined where a recording cannot tell; such episodes are left out of the chart."""
 
@@ -81,17 +81,18 @@ class Milestone:
 StepsModel = Literal["auto", "poisson", "observation"]
 """Model of the steps of a study, as `h3data_studies.analysis.StudyModel` explains."""
 FailedEpisodes = Literal["leave-out", "limit"]
-"""Episodes of a study without success: left out of the steps, or counted as the longest duration."""
+"""Treatment of episodes of a study without success: left out of the steps, or counted as the longest duration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyLayout:
-    """Analysis of episodes that participants did under several conditions (info ``participant``, ``condition``)."""
+    """Analysis of the episodes of participants under several conditions (info ``participant``, ``condition``)."""
 
     columns: tuple[str, ...]
     """Metrics of the table: 0/1 metrics by a binomial mixed model, others by their bootstrapped mean."""
     steps: str = ""
-    """Count metric, by a Poisson mixed model; its estimated means are contrasted. Empty: the first 0/1 metric is."""
+    """Count metric for the Poisson mixed model, whose estimated means are contrasted; empty: the first 0/1 metric is
+    contrasted."""
     efficiency: str = ""
     """Metric whose value follows from the means of ``steps``: steps alone over steps with the robot, in percent."""
     published: Callable[[], PublishedTable] | None = None
@@ -118,5 +119,5 @@ class ReportLayout:
     distance_zone_m: tuple[float, float] | None = None
     """Distances shaded in charts of robot and person [m]."""
     published: Callable[[], PublishedTable] | None = None
-    """Loads the published results for these metrics."""
+    """Function that loads the published results for these metrics."""
     study: StudyLayout | None = None

@@ -43,7 +43,7 @@ def require_whole(recording: Recording) -> None:
     Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
 
     Raises:
-        UnmeasurableError: it is one.
+        UnmeasurableError: the recording is such an export.
     """
     if recording.episode.is_lerobot_export:
         raise UnmeasurableError(
@@ -78,7 +78,7 @@ def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
 
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
-    """Return the names of the metrics that lack something, each with a note; a `MissingColumnsError` if all do."""
+    """Return the names of the metrics that lack something, each with a note; raise a `MissingColumnsError` if all do."""
     needs = {m.name: missing for m in metrics if (missing := missing_columns(m, recording))}
     if len(needs) == len(metrics):
         raise MissingColumnsError(recording.episode.episode_id, needs)

@@ -32,7 +32,7 @@ class Summary:
     count: int
     """Number of episodes with a value."""
     episodes: int
-    """All episodes, with and without a value."""
+    """Number of all episodes, with and without a value."""
     method: Literal["bootstrap", "wilson"]
 
 
@@ -45,7 +45,7 @@ class MetricsTable:
     columns: Mapping[str, NDArray[np.float64]]
     """Values [E] by metric name; NaN = undefined in that episode."""
     episodes: tuple[EpisodeMetrics, ...]
-    """The rows with their notes."""
+    """Metrics of each episode, with notes."""
     metrics: tuple[Metric, ...]
     """Definitions of the columns, in their order."""
     left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class MetricsTable:
         return lines
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
-        """Summary, notes and all episodes as JSON types; NaN becomes None."""
+        """Return the summary, the notes and all episodes as JSON types; NaN becomes None."""
         summary = {
             name: {
                 "mean": _or_none(s.mean),
@@ -156,7 +156,7 @@ def summarize_all(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> dict[str, Summary]:
-    """`summarize` of metrics by name, ``columns`` being their values [E]; together they take a third of the time."""
+    """Summarize metrics by name, as `summarize` does, in a third of the time; ``columns`` are their values [E]."""
     # an undefined value is left out of the mean, never taken for 0
     defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
     means = [m.name for m in metrics if not m.binary]

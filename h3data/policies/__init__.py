@@ -1,4 +1,4 @@
-"""Policies: what decides for an agent, what it is shown, and what it may answer (h3data docs extending)."""
+"""Policies: decisions for an agent, the observations that a policy gets, and its possible answers (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings: the records, the MCAP session log, the Parquet dataset. The stores are imported at their first use."""
+"""Recordings: the records, the MCAP session log, the Parquet dataset. The stores are imported at first use."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def _array_differences(name: str, a: NDArray[Any], b: NDArray[Any]) -> list[str]
 
 
 def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArray[np.uint64]:
-    """Running hash of the state stream after each row, shape [T].
+    """Return the running hash of the state stream after each row, shape [T].
 
     Row k is BLAKE2b with an 8-byte digest over the digest of row k-1 (``previous`` before the first; little-endian) and
     the raw little-endian bytes of row k of every state column in the sorted order of their names. State columns are all

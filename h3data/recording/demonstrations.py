@@ -1,4 +1,4 @@
-"""``meta/h3data.json`` of demonstrations exported to LeRobot: what an environment needs to show a policy what they held.
+"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, from which an environment shows the same observations.
 
 LeRobot's own metadata say how wide a state is and how large a picture. They do not say which numbers the state is made of,
 which lens took the picture, under which rules and in which homes. A policy that is shown anything else fails without a message.
@@ -21,10 +21,10 @@ VERSION = 1
 
 
 class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera of which every episode has a video."""
+    """A camera that has a video of every episode."""
 
     key: str
-    """Name of the feature, ``observation.images.robot_arm``."""
+    """Name of the feature, such as ``observation.images.robot_arm``."""
     camera: str
     """Name of the camera on the body that carries it; the name of the feature if no body carries it."""
     agent: str
@@ -40,7 +40,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
-    """Agent of a dataset of demonstrations, as its first episode has it."""
+    """Agent of a dataset of demonstrations, as in its first episode."""
 
     name: str
     kind: str
@@ -57,7 +57,7 @@ class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
     episode: int
     """Number of the first episode in this scene, which holds the scene's file."""
     source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Recipe by which the scene was made, as recordings have it."""
+    """Recipe of the scene, as in recordings."""
 
 
 class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,7 +68,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     task: str
     """Name of the task."""
     instruction: str = ""
-    """The task in words."""
+    """Instruction of the task in words."""
     agent: str
     """Name of the agent whose actions are learned."""
     agents: tuple[DemonstratedAgent, ...]
@@ -91,7 +91,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     episode_scenes: tuple[int, ...]
     """Number of each episode's home in ``scenes``."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Rules of the first episode, as recordings hold them."""
+    """Rules of the first episode, as in recordings."""
 
 
 def write_demonstrations(root: AnyPath, demonstrations: Demonstrations) -> None:

@@ -1,4 +1,4 @@
-"""Episodes wherever they are stored, in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
+"""Episodes in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class StoredEpisode:
     """Episode that can be read from a file or a dataset."""
 
     name: str
-    """Path of the file, or ``ds#3``."""
+    """Path of the file, or dataset and number such as ``ds#3``."""
     path: AnyPath
-    """The file, or the dataset's folder."""
+    """Path of the file, or of the dataset's folder."""
     read: Callable[[], Recording]
-    """Returns the recording, or raises an `H3DataError`."""
+    """Function that returns the recording, or raises an `H3DataError`."""
     read_facts: Callable[[], Mapping[str, Any]]
-    """Reads `facts`, without ``info`` spread out."""
+    """Function that reads `facts`, without spreading out ``info``."""
     index: int | None = None
     """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
-    """Return the videos of the episode in its dataset."""
+    """Function that returns the videos of the episode in its dataset."""
     read_together: Callable[[range], Iterator[Recording]] | None = None
-    """Reads consecutive episodes of its dataset, by number; faster than one after the other."""
+    """Function that reads consecutive episodes of its dataset, by number; faster than one after the other."""
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
@@ -67,7 +67,7 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 
 
 class HasEpisodes(Protocol):
-    """Protocol of what holds episodes: a dataset, or `Episodes`."""
+    """Protocol of objects with episodes: a dataset, or `Episodes`."""
 
     def all(self) -> Episodes:
         """Return all episodes, in the order in which they are stored."""
@@ -75,7 +75,7 @@ class HasEpisodes(Protocol):
 
 
 class Episodes(Sequence[Recording]):
-    """Episodes in an order, from any number of datasets and logs, read when they are asked for.
+    """Episodes in an order, from any number of datasets and logs, read on demand.
 
     Slices, `filter`, `split` and `merge` give further ones without reading steps; `save` writes them as a dataset.
     """

@@ -1,4 +1,4 @@
-"""Files under the SHA-256 of their contents: stored once, compared with their name when they are read."""
+"""Files by the SHA-256 of their contents: stored once, and compared with their name when they are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finds what is stored below paths: datasets, logs, and the episodes in them."""
+"""Search below paths for datasets, logs, and the episodes in them."""
 
 from __future__ import annotations
 

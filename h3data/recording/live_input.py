@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from h3data.recording.records import InputEvent, Recording
 
 CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
-"""Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time."""
+"""Kinds of raw input: a message as received, a player who connected or left, and steps that were not played in time."""
 NOTHING, AWAY, STEERS = "-", "away", "steers"
 """Wishes of a player at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
 
@@ -27,7 +27,7 @@ class LiveInput:
     """Input of one player."""
 
     user: int
-    """Agent that the person played."""
+    """Number of the agent that the person played."""
     messages: int
     asked: tuple[str, ...]
     """Last wish of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
@@ -52,19 +52,19 @@ def rtt_column(user: int) -> str:
 
 
 def live_inputs(recording: Recording) -> list[LiveInput]:
-    """Input of each player of a live session; empty for other recordings."""
+    """Return the input of each player of a live session; empty for other recordings."""
     users = sorted({e.user for e in recording.inputs if e.kind in (CLIENT, CONNECTED)})
     return [_of(recording, user, [e for e in recording.inputs if e.user == user]) for user in users]
 
 
 def slipped_steps(recording: Recording) -> int:
-    """Steps that the server of a live session was too slow to play."""
+    """Return the steps that the server of a live session was too slow to play."""
     slips = (_json(event).get("steps") for event in recording.inputs if event.kind == SLIP)
     return sum(steps for steps in slips if isinstance(steps, int))
 
 
 def remark_lines(recording: Recording) -> list[str]:
-    """Lines about the problems that players have reported, and their answers to the question at the end."""
+    """Return lines of text with the problems that players have reported, and their answers to the question at the end."""
     hitl = recording.episode.info.get("hitl")
     lines = []
     for remark in hitl.get("remarks", ()) if isinstance(hitl, dict) else ():

@@ -1,4 +1,4 @@
-"""Opens any supported recording, an MCAP log or a dataset folder; errors name what any other file is."""
+"""Opening of any supported recording, an MCAP log or a dataset folder; errors name the kind of any other file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from h3data.recording.parquet.dataset import Dataset
 
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
-"""Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which lie beside recordings but are none."""
+"""Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which may lie beside recordings."""
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
-    """Logs in a folder, or anywhere below it, sorted; files for Foxglove are left out."""
+    """Return the logs in a folder and below it, sorted; files for Foxglove are left out."""
     paths = folder.rglob("*.mcap") if below else folder.glob("*.mcap")
     return sorted(path for path in paths if not path.name.endswith(FOXGLOVE_SUFFIX))
 

@@ -50,13 +50,13 @@ from h3data.errors import FormatError, InputError, suggest
 from h3data.plugins import Registry
 
 SCHEMA_VERSION = "1.7"
-"""Additive changes raise the second number; readers refuse a newer first number."""
+"""Version of the schema. Additive changes raise the second number; readers refuse a newer first number."""
 
 JOINTS = "scene.joint_pos"
-"""The column with the positions of a home's doors and drawers."""
+"""Name of the column with the positions of a home's doors and drawers."""
 
 OLDEST_VERSION = (1, 6)
-"""Oldest schema version that can be read: older ones were never published, and meant other things by the same columns."""
+"""Oldest schema version that can be read. Older ones were never published, and used the same columns differently."""
 
 STEP_NS = 33_333_333
 """Nominal step: 30 steps per second, in whole nanoseconds."""
@@ -68,8 +68,8 @@ class AssetRef:
 
     name: str
     uri: str
-    """``scene:<asset>`` is in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
-    recorded, to be found below the user's asset roots."""
+    """Location of the asset: ``scene:<asset>`` is in the attached scene; ``primitive:<kind>`` is generated; anything
+    else is a file path as recorded, to be found below the user's asset roots."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Axis of the file that points up."""
     front: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -87,7 +87,7 @@ class Body:
     name: str
     asset: str
     pose: NDArray[np.float32]
-    """Pose (pose7) in the world, shape [7]: of bodies that never move; of others, the first one."""
+    """Pose (pose7) in the world, shape [7]; of moving bodies, the first one."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(3, np.float32))
     semantic_id: int = 0
     moving: int = -1
@@ -105,7 +105,8 @@ class Agent:
     name: str
     kind: Literal["robot", "human"]
     model: str = ""
-    """Body or robot to render it with (``humanoid/female_0``, ``robot/quad_arm``); empty: its `Body` records show it."""
+    """Body or robot that shows the agent (``humanoid/female_0``, ``robot/quad_arm``); empty: its `Body` records show
+    it."""
     semantic_id: int = 0
     joint_names: tuple[str, ...] = ()
     motion_names: tuple[str, ...] = ()
@@ -115,11 +116,11 @@ class Agent:
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Something that happened at one step: a collision, a pick, a user's click."""
+    """Event at one step: a collision, a pick, a user's click."""
 
     step: int
     agent: int
-    """Index of the agent that caused it; -1 = none."""
+    """Index of the agent that caused the event; -1 = none."""
     kind: str
     target: str = ""
     detail: str = ""
@@ -146,12 +147,12 @@ class InputEvent:
     """Time of arrival [ns since the episode began], on the clock of the column ``time_ns``; usually between two rows, negative
     before the episode. Input in (time of row k-1, time of row k] could act on row k."""
     kind: str
-    """``key_down``, ``key_up``, ``mouse_move``, ``mouse_down``, ``mouse_up``, ``mouse_wheel``, ``xr``, ``text``, or any
-    other word."""
+    """Kind of input: ``key_down``, ``key_up``, ``mouse_move``, ``mouse_down``, ``mouse_up``, ``mouse_wheel``, ``xr``,
+    ``text``, or any other word."""
     user: int = 0
     """Index of the person; ``episode.info`` or the task defines which agent they drive."""
     payload: str = ""
-    """Details as JSON text, e.g. ``{"key": "w"}``, kept verbatim; empty = none."""
+    """Details as JSON text, such as ``{"key": "w"}``, stored unchanged; empty = none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,11 +160,11 @@ class Episode:
     """Identity and provenance of an episode: its task, scene, seed and the program that recorded it."""
 
     uid: str
-    """Globally unique, a uuid."""
+    """Globally unique identifier, a uuid."""
     episode_id: str
     """Name of the episode within its dataset."""
     task: str
-    """``social_nav``, ``gfx_replay``, ..."""
+    """Task, such as ``social_nav`` or ``gfx_replay``."""
     scene: str
     seed: int = 0
     dt_ns: int = STEP_NS
@@ -180,7 +181,7 @@ class Episode:
 
 
 class Columns(dict[str, NDArray[Any]]):
-    """Columns by name. The `KeyError` of an unknown one says what was meant."""
+    """Columns by name. The `KeyError` of an unknown one suggests a known one."""
 
     def __missing__(self, name: object) -> NDArray[Any]:
         raise UnknownColumnError(
@@ -227,7 +228,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from the first to the last step."""
+        """Time from the first to the last step [s]."""
         times = self.columns["time_ns"]
         return float(times[-1] - times[0]) * 1e-9 if len(times) else 0.0
 
@@ -237,7 +238,7 @@ class Recording:
         return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
 
     def agent_column(self, agent: int, name: str) -> NDArray[Any]:
-        """Column ``agent_<agent>.<name>``; an `UnknownColumnError`, which is a `KeyError`, if there is none."""
+        """Return column ``agent_<agent>.<name>``; raise an `UnknownColumnError` (a `KeyError`) if there is none."""
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:

@@ -13,7 +13,7 @@ from h3data.geometry import heading_from_quat
 from h3data.recording.records import Recording
 
 HEIGHT_M = 0.3
-"""Height over the floor at which scans are shown, that of the scanner [m]."""
+"""Height over the floor at which viewers draw scans: that of the scanner [m]."""
 
 
 class Scan(NamedTuple):
@@ -24,19 +24,19 @@ class Scan(NamedTuple):
     ranges: NDArray[np.float32]
     """Distances [T, R] [m], or [T, L, R] of L lasers, the lowest first."""
     max_m: float
-    """Greatest distance that it can measure; rays that long met nothing."""
+    """Greatest distance that the scanner measures [m]; a ray of this length met nothing."""
     height_m: float = HEIGHT_M
     """Height of the scanner over the origin of the base."""
     elevations: tuple[float, ...] = (0.0,)
     """Elevation of each laser above the horizon [rad]."""
 
     def met(self) -> NDArray[np.float32]:
-        """Distances, in the shape of `ranges` [m], to what the rays met, infinite where that is nothing."""
+        """Return the distances to what the rays met, in the shape of `ranges` [m], infinite where a ray met nothing."""
         # a thousandth less, because float32 rounds the greatest distance
         return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
 
     def directions(self) -> NDArray[np.float64]:
-        """Unit vectors of the rays [L * R, 3] in the scanner's frame: x ahead, y up, z to the right."""
+        """Return unit vectors of the rays [L * R, 3] in the scanner's frame: x ahead, y up, z to the right."""
         # the first ray looks ahead, the others turn to the left, which is -z in a frame with z to the right
         turns = np.arange(self.ranges.shape[-1]) * (2 * math.pi / max(self.ranges.shape[-1], 1))
         flat, up = np.cos(self.elevations)[:, None], np.sin(self.elevations)[:, None]
@@ -52,7 +52,7 @@ class Scan(NamedTuple):
         return reach.reshape(len(reach), -1, 1) * self.directions()
 
     def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
-        """World points that the rays met in some rows, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        """Return the world points that the rays met in some rows, [t, L * R, 3] [m]; NaN where a ray met nothing."""
         base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
         x, y, z = np.moveaxis(self.around(rows), -1, 0)
         heading = heading_from_quat(base[:, 3:])[:, None]

@@ -62,7 +62,7 @@ class Column:
 
     @property
     def width(self) -> int:
-        """Values per row."""
+        """Number of values per row."""
         return math.prod(self.shape)
 
     def empty(self, rows: int = 0) -> NDArray[Any]:
@@ -86,7 +86,7 @@ def topic_of(column: str) -> Topic:
 
 
 def log_topic_of(column: str) -> Topic:
-    """Per-step topic of the log that a column is written to.
+    """Return the per-step topic of the log that a column is written to.
 
     Metrics share the topic of the state: a topic of their own took 21 B/step, 16 of them in the index.
     """
@@ -94,7 +94,7 @@ def log_topic_of(column: str) -> Topic:
 
 
 def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
-    """Layout of arrays [T, ...], in their order; an `InputError` names every column that cannot be stored."""
+    """Return the layout of arrays [T, ...], in their order; an `InputError` names every column that cannot be stored."""
     layout, faults = [], []
     for name, array in columns.items():
         array = np.asarray(array)
@@ -139,7 +139,7 @@ def layout_to_json(layout: Layout) -> str:
 
 
 def layout_from_json(text: str) -> Layout:
-    """Return the inverse of `layout_to_json`; a `FormatError` if the text is no layout."""
+    """Return the inverse of `layout_to_json`; raise a `FormatError` if the text is no layout."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -221,7 +221,8 @@ STRUCTS: dict[str, dict[str, str]] = {
     },
     "Input": {"time_ns": "int64", "kind": "string", "user": "int64", "payload": "string"},
 }
-"""Fields in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a list."""
+"""Fields of stored records in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a
+list."""
 
 RECORD_TYPES: dict[str, type] = {
     "Asset": AssetRef,
@@ -246,7 +247,7 @@ _FIELDS = {
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
-    """Fields of an asset, body, agent, event, skill span or input as plain values, with poses and scales rounded to float32."""
+    """Return the fields of a stored record as plain values, with poses and scales rounded to float32."""
     values: dict[str, Any] = {}
     for name, kind in STRUCTS[_STRUCT_NAMES[type(record)]].items():
         value = getattr(record, name)
@@ -299,7 +300,7 @@ def _plain(value: Any) -> Any:
 
 
 def info_to_json(info: Mapping[str, Any]) -> str:
-    """JSON of `Episode.info`; numpy numbers and arrays become plain ones."""
+    """Encode `Episode.info` as JSON; numpy numbers and arrays become plain ones."""
     try:
         return json.dumps(dict(info), ensure_ascii=False, default=_plain)
     except (TypeError, ValueError) as error:

@@ -45,7 +45,7 @@ class RemotePath:
 
     @property
     def uri(self) -> str:
-        """The whole URI with its credentials: for opening it again, never for display."""
+        """Whole URI with its credentials: for opening it again, never for display."""
         return f"{self.scheme}://{self.path}" + (f"?{self.query}" if self.query else "")
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class RemotePath:
 
     @property
     def parents(self) -> list[RemotePath]:
-        """The enclosing folders, nearest first."""
+        """Enclosing folders, nearest first."""
         folders, at = [], self
         while at.parent != at:
             at = at.parent
@@ -112,7 +112,7 @@ class RemotePath:
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """Files and folders directly in this folder; none if it does not exist."""
+        """Yield the files and folders directly in this folder; none if it does not exist."""
         return (self / name for name in self._listed(recursive=False))
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
@@ -186,7 +186,7 @@ AnyPath = Path | RemotePath
 
 
 def masked(text: str) -> str:
-    """``text`` with ``***`` in place of the passwords and keys of URIs in it."""
+    """Replace the passwords and keys of URIs in a text by ``***``."""
     # paths end up in messages and logs: hidden are passwords before an @, and queries whose name says secret
     secret = re.compile(
         r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
@@ -243,7 +243,7 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
 
 
 def readable(path: AnyPath) -> Path | pa.NativeFile:
-    """Return the file as pyarrow's readers take it: absolute, since they take a relative ``data:x`` for a URI."""
+    """Return the file in the form for pyarrow's readers: absolute, since they treat a relative ``data:x`` as a URI."""
     return path.open_input() if isinstance(path, RemotePath) else path.absolute()
 
 

@@ -1,4 +1,4 @@
-"""Cameras: perspective, orthographic, fisheye and equirectangular.
+"""Cameras of four kinds: perspective, orthographic, fisheye and equirectangular.
 
 h3data uses the OpenCV frame (x right, y down, z forward) with pixel centres at +0.5; `CONVENTIONS` converts other frames.
 """
@@ -26,7 +26,8 @@ class Camera:
     width: int
     height: int
     fx: float
-    """Pixels per unit at z = 1 (perspective), per metre (orthographic) or per radian (fisheye, equirectangular)."""
+    """Focal length along x: pixels per unit at z = 1 (perspective), per metre (orthographic) or per radian (fisheye,
+    equirectangular)."""
     fy: float
     cx: float
     cy: float
@@ -36,12 +37,12 @@ class Camera:
     """Layers whose instances are hidden, e.g. ``("ceiling",)`` in views from above."""
     projection: Projection = "perspective"
     near: float = 0.0
-    """Surfaces nearer than this depth are cut away [m]; 0 keeps everything in front of the camera's plane."""
+    """Depth below which surfaces are cut away [m]; 0 shows everything in front of the camera's plane."""
     far: float = float("inf")
     """Surfaces beyond this depth count as misses [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
-        """Camera with the same lens at another pose [4, 4], camera to world."""
+        """Return a camera with the same lens at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
@@ -112,11 +113,11 @@ class Camera:
 
     # --- points and rays ----------------------------------------------------------------------------------------------
     def to_camera(self, points: ArrayLike) -> NDArray[np.float64]:
-        """World points [N, 3] in the camera's frame, shape [N, 3] [m]."""
+        """Transform world points [N, 3] into the camera's frame, shape [N, 3] [m]."""
         return (np.asarray(points, np.float64).reshape(-1, 3) - self.pose[:3, 3]) @ self.pose[:3, :3]
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixel coordinates [N, 2] and depth [N] [m] of world points [N, 3].
+        """Return the pixel coordinates [N, 2] and depth [N] [m] of world points [N, 3].
 
         The centre of the first pixel is (0.5, 0.5). Depth is along z; for fisheye and equirectangular cameras it is the
         distance. Points at or behind the plane of a perspective camera (z <= 0) get NaN pixels.
@@ -125,7 +126,7 @@ class Camera:
         return self.to_pixels(p), p[:, 2] if self.is_planar else np.linalg.norm(p, axis=1)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixel coordinates [N, 2] of points [N, 3] in the camera's frame; see `project`."""
+        """Return the pixel coordinates [N, 2] of points [N, 3] in the camera's frame; see `project`."""
         x, y, z = points.T
         if self.projection == "perspective":
             # dividing by a negative z would mirror points behind the eye into the picture
@@ -308,7 +309,7 @@ def camera_from_matrix(
 
 # --- poses --------------------------------------------------------------------------------------------------------------
 def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
-    """Camera pose [4, 4] (OpenCV to world) at ``eye`` looking at ``target``; ``up`` points upwards in the image.
+    """Return the camera pose [4, 4] (OpenCV to world) at ``eye`` towards ``target``; ``up`` points upwards in the image.
 
     When looking along ``up``, the top of the image points towards -Z.
     """
@@ -325,8 +326,8 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
 
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Converts camera poses between OpenGL / Habitat (x right, y up, looking along -z) and OpenCV, both directions, when
-multiplied from the right."""
+"""Matrix that converts camera poses between OpenGL / Habitat (x right, y up, looking along -z) and OpenCV, in both
+directions, when multiplied from the right."""
 CONVENTIONS: dict[Convention, NDArray[np.float64]] = {
     "opencv": np.eye(4),
     "opengl": OPENGL_TO_OPENCV,

@@ -17,7 +17,7 @@ _PALETTE_SIZE = 1024
 
 
 def normalize_depth(depth: ArrayLike, min_m: float, max_m: float) -> NDArray[np.float32]:
-    """Depth clipped to ``min_m..max_m`` and scaled to 0..1, like Habitat's depth sensor (spec/habitat.md 1.5).
+    """Clip depth to ``min_m..max_m`` and scale it to 0..1, like Habitat's depth sensor (spec/habitat.md 1.5).
 
     A miss has depth 0 and becomes 0, as in Habitat.
     """
@@ -27,7 +27,7 @@ def normalize_depth(depth: ArrayLike, min_m: float, max_m: float) -> NDArray[np.
 
 
 def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]:
-    """Depth [H, W] [m] as viridis colours [H, W, 3]: yellow up to ``near``, violet from ``far``, misses `MISS_COLOR`."""
+    """Color depth [H, W] [m] by viridis, [H, W, 3]: yellow up to ``near``, violet from ``far``, misses `MISS_COLOR`."""
     _check_range(near, far)
     d = np.ascontiguousarray(depth, np.float32)
     out = np.empty((*d.shape, 3), np.uint8)
@@ -36,7 +36,7 @@ def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]
 
 
 def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
-    """Distinct colours [..., 3] for ids [...]: equal ids always get equal colours; negative ids get `MISS_COLOR`."""
+    """Color ids [...] distinctly, [..., 3]: equal ids always get equal colours; negative ids get `MISS_COLOR`."""
     i = np.ascontiguousarray(ids)
     if i.dtype.kind not in "iu":
         raise InputError(f"Ids must be integers, got {i.dtype}.", code="H3-RENDER-010")

@@ -120,7 +120,7 @@ def _with_checksum(data: bytes) -> bytes:
 
 
 class Ffv1Encoder:
-    """Encodes uint16 images [H, W]. It has buffers of its own, so use one per thread."""
+    """Encoder of uint16 images [H, W]. It has buffers of its own, so use one per thread."""
 
     def __init__(self, width: int, height: int) -> None:
         """Prepare the buffers and the ``record`` that decoders need."""
@@ -475,7 +475,7 @@ def decide(typing_context, bit, probability_at, next_at, decision_at):
 
 @intrinsic
 def predict_row(typing_context, above_at, here_at, differences_at, classes_at, width):
-    """Differences to the predictions of the pixels of a row, up to 31 too many, and their classes.
+    """Compute the differences to the predictions of the pixels of a row, up to 31 too many, and their classes.
 
     A class is the context and, in the upper byte, the number of decisions. The numbers at ``here_at`` and ``above_at``
     begin with the left neighbour of the first pixel.
@@ -538,7 +538,7 @@ def predict_row(typing_context, above_at, here_at, differences_at, classes_at, w
 
 @intrinsic
 def run_coders(typing_context, at, end, coders_at, uppers_at, marks_at):
-    """Codes eight decisions at a time, one of each coder, from ``at`` to ``end``.
+    """Code eight decisions at a time, one of each coder, from ``at`` to ``end``.
 
     For each eight, the upper bits of the coders' lower ends follow one another at ``uppers_at``, eight words, and at
     ``marks_at`` a byte with a bit for each coder whose range fell below 256: of these, the 9 upper bits are a byte to write

@@ -23,7 +23,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
 
 
 def png_bytes(image: NDArray) -> bytes:
-    """RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as a PNG file."""
+    """Encode RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as a PNG file."""
     import cv2
 
     is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
@@ -79,7 +79,7 @@ def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -
 
 
 def depth_to_mm(depth: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Depth [H, W] [m] in whole millimetres: 0 for misses (and NaN), at least 1 for hits, 65535 for 65.5 m or more."""
+    """Convert depth [H, W] [m] to whole millimetres: 0 for misses (and NaN), at least 1 for hits, at most 65535."""
     d = np.asarray(depth)
     if d.ndim != 2 or d.dtype.kind != "f":
         raise InputError(
@@ -100,7 +100,7 @@ def _to_mm(depth, out):
 
 
 def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
-    """Ids [H, W] as stored in 16-bit images: id + 1, and 0 for misses.
+    """Convert ids [H, W] to the values of 16-bit images: id + 1, and 0 for misses.
 
     Raises:
         InputError: an id is above 65534.

@@ -1,4 +1,4 @@
-"""Outputs of renderers, with shapes and types, and the poses that an image was rendered with."""
+"""Outputs of renderers, with shapes and types, and the poses for an image."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ FORMS: Mapping[str, tuple[tuple[int, ...], type]] = {
     "rgb": ((3,), np.uint8),
     "normal": ((3,), np.float32),
 }
-"""Trailing shape after [N, H, W], and dtype, of each output."""
+"""Trailing shape, after [N, H, W], and dtype of each output."""
 
 
 class Poses(NamedTuple):
     """The state of all instances in one world."""
 
     matrix: NDArray[np.float64]
-    """Mesh to world for every instance, shape [I, 3, 4]; NaN if it is absent."""
+    """Matrix from mesh to world of every instance, shape [I, 3, 4]; NaN if it is absent."""
     vertices: Mapping[int, NDArray[np.float32]]
-    """Current vertices [V, 3] [m] of the deformable meshes that have been changed, by mesh."""
+    """Current vertices [V, 3] [m] of the deformable meshes that have changed, by mesh."""
     visible: NDArray[np.bool_]
     """Visibility of instances, shape [I]."""
 
@@ -48,7 +48,7 @@ def check_outputs(outputs: Sequence[str]) -> None:
 def picture_arrays(
     cameras: Sequence[Camera], outputs: Sequence[str], out: Mapping[str, NDArray] | None
 ) -> dict[str, NDArray]:
-    """Arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
+    """Return arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
     results: dict[str, NDArray] = {}
     for name in outputs:
         trailing, dtype = FORMS[name]

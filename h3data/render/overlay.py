@@ -1,4 +1,4 @@
-"""Lines, dots and labels drawn onto an image at world points."""
+"""Lines, dots and labels on an image at world points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Renderer`, one interface to all back ends, for single cameras or batches of cameras over many worlds."""
+"""Renderer with one interface to all back ends, for single cameras or batches of cameras over many worlds."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
 ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
-"""The back ends ``gpu``, ``auto`` and ``rays``: made of a scene, a light and the numbers of worlds and threads.
-
-``rays`` takes ``only_rays`` in addition: False makes the rasteriser with rays for what it cannot do.
-"""
+"""Makers of the back ends ``gpu``, ``auto`` and ``rays``, from a scene, a light and the numbers of worlds and threads.
+``rays`` also takes ``only_rays``: False adds the rasteriser for what rays cannot render."""
 
 
 class Engine(Protocol):
-    """A back end. It keeps the state of each world and renders; `Renderer` has already checked its arguments."""
+    """A back end. It holds the state of each world and renders; `Renderer` has already checked its arguments."""
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         """Set the transforms [n, 3, 4] of instances [n]."""
@@ -41,7 +39,7 @@ class Engine(Protocol):
         ...
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Set the capsules that keep light from surfaces."""
+        """Set the capsules that block light from surfaces."""
         ...
 
     def poses(self, world: int) -> Poses:
@@ -61,7 +59,7 @@ class Engine(Protocol):
 
 
 class Renderer:
-    """Renders a `RenderScene`; holds the state of its worlds and the buffers.
+    """Renderer of a `RenderScene`; holds the state of its worlds and the buffers.
 
     Use one renderer per thread, or one with ``threads``, which renders batches in parallel. A new renderer shows the scene
     as it was built, in every world.
@@ -246,7 +244,7 @@ class Renderer:
 
 
 def gpu_fault() -> str:
-    """Reason why the back end ``gpu`` cannot be used here; empty if it can."""
+    """Return the reason why the back end ``gpu`` cannot be used here; empty if it can."""
     missing = ENGINES.missing().get("gpu")
     if missing:
         return f"it needs the package {missing}, which this installation does not have"

@@ -34,7 +34,7 @@ class RenderInstance:
     mesh: int
     """Index into the scene's meshes."""
     matrix: NDArray[np.float64]
-    """Mesh to world, 4x4, with any scale; NaN if it is absent."""
+    """Matrix from mesh to world, 4x4, with any scale; NaN if it is absent."""
     semantic_id: int = 0
     layer: str = ""
     """Layer, which cameras can hide (`Camera.hidden_layers`)."""

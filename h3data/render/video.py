@@ -48,7 +48,7 @@ _AT_ONCE = 16
 
 
 class VideoWriter:
-    """Writes frames to a video file; use it as a context manager.
+    """Writer of frames to a video file; use it as a context manager.
 
     ``h264`` and ``av1`` take RGB uint8 [H, W, 3]; odd sizes are padded to even ones by repeating the last row or column.
     ``ffv1`` takes uint16 [H, W] and is lossless. The file is written as ``<path>.part`` and renamed when the block ends

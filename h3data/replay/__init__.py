@@ -1,4 +1,4 @@
-"""Recordings brought back: poses at any step, cameras, and images.
+"""Replay of recordings: poses at any step, cameras, and images.
 
 - `replay`: `Replay`; `posed_recording`: its poses, with `link_poses` for robots; `stage`: its images; `records`: its data
 - `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files

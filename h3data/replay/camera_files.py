@@ -76,7 +76,7 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     keys: tuple[Key, ...] = ()
     orbit: Orbit | None = None
     follow: str = ""
-    """Name of an agent: the camera moves and turns with its root frame (x forward, y up, z right)."""
+    """Name of an agent with whose root frame (x forward, y up, z right) the camera moves and turns."""
     turns: bool = True
     """True if the camera turns with the agent; false if it moves with it but keeps its direction."""
     smooth_s: float = 0.0
@@ -213,7 +213,10 @@ def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float
 
 
 def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.float64]:
-    """Positions [T, 3] at ``times`` on a smooth curve through points [K, 3] at key times [K], constant outside of them."""
+    """Return positions [T, 3] at ``times`` on a smooth curve through points [K, 3] at key times [K].
+
+    They are constant before the first and after the last key time.
+    """
     if len(points) < 3:
         return np.stack([np.interp(times, key_times, points[:, k]) for k in range(3)], axis=1)
     from scipy.interpolate import PchipInterpolator  # passes through the keys without overshooting
@@ -260,7 +263,7 @@ def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
 
 
 def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
-    """World frames of a robot's link (URDF axes) or a human's joint (z forward, y up, x left at rest), [T, 4, 4]."""
+    """Return world frames [T, 4, 4] of a robot's link (URDF axes) or a human's joint (z forward, y up, x left at rest)."""
     label = replay.recording.agents[agent].name
     if not replay.recording.agents[agent].model:
         raise InputError(
@@ -281,7 +284,7 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
 
 
 def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
-    """World frames [T, 4, 4] of a drawable by name, without its scale."""
+    """Return the world frames [T, 4, 4] of a drawable by name, without its scale."""
     names = [drawable.name for drawable in replay.drawables]
     if name not in names:
         similar = [n for n in names if name.lower() in n.lower()][:8] or names[:8]

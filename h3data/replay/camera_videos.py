@@ -22,8 +22,8 @@ from h3data.replay.cameras import split_size
 from h3data.replay.stage import FrameBackend
 
 KEY_FRAMES = 10
-"""Frames from one key frame to the next. Learners read frames in random order: one costs 1.7 ms at 640x480, 4.8 ms with 30 and
-0.7 ms with 2, where files are 1.5 times as large."""
+"""Number of frames from one key frame to the next. Training reads frames in random order: one costs 1.7 ms at 640x480,
+4.8 ms with 30 and 0.7 ms with 2, where files are 1.5 times as large."""
 
 
 def render_videos(

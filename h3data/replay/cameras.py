@@ -1,4 +1,4 @@
-"""Cameras of a recording by name: those of its robots and people, some that watch them, some from above; and camera files."""
+"""Cameras of a recording by name: on robots and people, watching them, from above; and camera files."""
 
 from __future__ import annotations
 
@@ -108,7 +108,10 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 
 
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
-    """`camera_track` at one step (negative steps count from the end), much faster for the ``third_person`` camera."""
+    """Return the camera of `camera_track` at one step, much faster for the ``third_person`` camera.
+
+    Negative steps count from the end.
+    """
     row, (name_or_file, size) = replay.row(step), split_size(name_or_file)
     if size is not None:
         track = camera_track(replay, name_or_file)
@@ -157,7 +160,7 @@ def _mounted(replay: Replay, name: str) -> CameraTrack | None:
 
 
 HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
-"""Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
+"""Pose of the camera in the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12
 """Distance of the near plane, which cuts the person's own face away [m]."""
 

@@ -253,14 +253,14 @@ class PosedRecording:
 
     # --- poses --------------------------------------------------------------------------------------------------------
     def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """World matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4, 4].
+        """Return world matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4, 4].
 
         For a long recording the result is large: ask for a few steps at a time, or for one link (`link_track`).
         """
         return self._links_of(agent).at(steps, slice(None))
 
     def link_track(self, agent: int, link: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """World matrices of one link of a robot or part of a person at ``steps`` (default all), shape [T, 4, 4]."""
+        """Return the world matrices of one link of a robot or part of a person at ``steps`` (default all), shape [T, 4, 4]."""
         return self._links_of(agent).at(steps, link)
 
     def _links_of(self, agent: int) -> LinkPoses:
@@ -275,7 +275,7 @@ class PosedRecording:
         return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
 
     def robot_joints(self, agent: int, robot: Robot) -> NDArray[np.floating]:
-        """Joint positions of a robot at all steps as they are shown, shape [T, J]: its legs may trot (``stepping``)."""
+        """Return joint positions of a robot at all steps for pictures, shape [T, J]: its legs may trot (``stepping``)."""
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
             return trot(robot, base, joints, heights=self.heights)
@@ -312,7 +312,7 @@ class PosedRecording:
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_motions(self, steps: NDArray[np.integer]) -> Array:
-        """World matrices by which doors, drawers and other joints have moved at ``steps``, [T, J, 4, 4].
+        """Return the world matrices by which doors, drawers and other joints have moved at ``steps``, [T, J, 4, 4].
 
         Each maps points from where ``recording.bodies`` has them; J = 0 in scenes without joints.
         """
@@ -321,7 +321,7 @@ class PosedRecording:
         return self._joints.motions(self.recording.columns[JOINTS][steps].astype(np.float64))
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
-        """World matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
+        """Return the world matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
         body = self.model(agent)
         if not isinstance(body, Humanoid):
             raise InputError(
@@ -376,7 +376,7 @@ class PosedRecording:
         return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was absent."""
+        """Return the world vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was absent."""
         track, steps = self._tracks[index], np.asarray(steps)
         if isinstance(track, RigTrack):
             bones = pose_to_matrix(self.recording.columns[track.column][steps].astype(np.float64))

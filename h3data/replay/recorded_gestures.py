@@ -1,4 +1,4 @@
-"""Gestures of people from the events of a recording: what somebody does at a place moves their hands while they are there."""
+"""Gestures of people from the events of a recording: an activity at a place moves the person's hands during the stay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from h3data.recording import Recording
 BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
 """Kinds of the events that begin and end a gesture; the target of the first is the name of the activity."""
 RAMP_S = 0.8
-"""Time in which the hands go from where they are to the gesture, and back before it ends."""
+"""Time in which the hands move into the gesture at its beginning, and back before its end [s]."""
 
 
 def recorded_gestures(recording: Recording, agent: int) -> Array | None:

@@ -1,4 +1,4 @@
-"""Checks that the robots of a recording are still the same files."""
+"""Checks that the files of a recording's robots have not changed."""
 
 from __future__ import annotations
 

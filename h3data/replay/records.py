@@ -72,10 +72,10 @@ class RigTrack:
 
 @dataclass(frozen=True)
 class JointTrack:
-    """A door, a drawer or what lies in it, which moves with a joint of the home."""
+    """A door, a drawer or an object in it, which moves with a joint of the home."""
 
     joint: int
-    """Column of ``scene.joint_pos``."""
+    """Index of the joint in ``scene.joint_pos``."""
 
 
 Track = BodyTrack | LinkTrack | PersonTrack | RigTrack | JointTrack
@@ -88,7 +88,7 @@ class State:
     step: int
     time_s: float
     poses: dict[str, NDArray[np.float64]] = field(repr=False)
-    """Matrices 4x4 to the world by name, scale included, without objects that were absent."""
+    """Matrices 4x4 to the world by name, scale included; absent objects are left out."""
     agents: dict[str, dict[str, Any]]
     """All recorded columns of each agent at this step, by agent name."""
 
@@ -103,7 +103,8 @@ class CameraTrack:
     nears: Array | None = None
     """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
     crops: bool = True
-    """True if `resized` may cut off the top and bottom of the picture; False: a view of the whole home stays one."""
+    """True if `resized` may cut off the top and bottom of the picture; False if a view of the whole home must stay
+    whole."""
 
     def at(self, step: int) -> Camera:
         """Return the camera at one step."""

@@ -1,4 +1,4 @@
-"""Robots, doors and drawers as pages pose them: forward kinematics in the browser."""
+"""Robots, doors and drawers for web pages: forward kinematics in the browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.scene.articulation import handle_points, joints_of
 
 
 def robot_rig(robot: Robot) -> dict[str, Any]:
-    """Base frame, number of joints and links of a robot, as ``web/src/scene/robot.ts`` reads them."""
+    """Return the base frame, number of joints and links of a robot, as ``web/src/scene/robot.ts`` reads them."""
     links = [
         {
             "name": link.name,

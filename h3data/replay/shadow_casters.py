@@ -1,4 +1,4 @@
-"""Capsules of all that moves in a recording, which cast its soft shadows in baked light."""
+"""Capsules of everything that moves in a recording, which cast its soft shadows in baked light."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ class LightField(Protocol):
     def blockers(
         self, capsules: NDArray[np.floating], groups: NDArray[np.integer], *, members: NDArray[np.integer]
     ) -> Blockers:
-        """Light that capsules [N, 7] of groups [N] block, where ``members`` [I] are the groups of all instances."""
+        """Return the light that capsules [N, 7] of groups [N] block; ``members`` [I] are the groups of all instances."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowCasters:
-    """The instances of a scene that move, in groups that do not darken themselves: an agent, or one thing."""
+    """Moving instances of a scene, in groups that cast no shadow on themselves: an agent, or one thing."""
 
     field: LightField
     members: NDArray[np.int64]
-    """Group of every instance, -1 for what stands still, shape [I]."""
+    """Group of every instance, -1 for static ones, shape [I]."""
     local: NDArray[np.float64]
     """A capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7]; NaN for no mesh."""
 
     def blockers(
         self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
     ) -> Blockers:
-        """Blockers of light at one moment.
+        """Return the blockers of light at one moment.
 
         Args:
             rigid: Instances [n] and their matrices [n, 4, 4], NaN where absent.
@@ -71,7 +71,7 @@ def shadow_casters(
 
 
 def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Capsules [N, 7] under matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
+    """Move capsules [N, 7] by matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
     linear, origin = matrices[:, :3, :3], matrices[:, :3, 3]
     ends = [(linear @ capsules[:, k : k + 3, None])[..., 0] + origin for k in (0, 3)]
     size = np.cbrt(np.abs(np.linalg.det(np.nan_to_num(linear))))  # of bodies that are absent the ends are NaN

@@ -16,8 +16,8 @@ AHEAD_PX, AHEAD_DEG = 48, 80.0
 
 
 CARRIED_M, CLEARANCE_M = 0.6, 0.1
-"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; half the width of a free line, and
-the distance at which it ends in front of an obstacle [m]."""
+"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; and half the width of a
+free line, which is also the distance at which it ends in front of an obstacle [m]."""
 
 
 class Sight:
@@ -59,7 +59,7 @@ class Sight:
             self._renderer.set_transforms(self._moving, matrices)
 
     def around(self, point: Array) -> NDArray[np.float64]:
-        """Panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
+        """Return a panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
         poses = np.tile(np.eye(4), (SIDES, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = self._turns, point
         cameras = [self._side.at(pose) for pose in poses]

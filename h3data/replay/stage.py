@@ -27,7 +27,7 @@ from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
 WORLDS = 32
-"""Number of steps that a GPU draws at once, each in a world of its own."""
+"""Number of steps that a GPU renders at once, each in a world of its own."""
 JOINT_STEPS = 64
 """Number of steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
@@ -217,7 +217,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
         copies: _HostCopies | None = None,
     ) -> list[Images]:
-        """`render` for several steps at once, each in a world of the renderer.
+        """Render several steps at once, each in a world of the renderer, as `render` does.
 
         With ``copies``, the images are valid until the next call with them; otherwise they are new.
         """
@@ -362,7 +362,7 @@ class Stage:
 
 
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
-    """Renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
+    """Return the renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
 
     The page `gpu` of the documentation says how the pictures differ. Views without perspective are always rendered on
     the CPU.

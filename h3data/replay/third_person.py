@@ -33,7 +33,8 @@ class FramingSpec:
     boom_m: float = 2.6
     """Distance from the agent if there is enough space."""
     nearest_m: float = 1.0
-    """Smallest distance; if even that is obstructed, things are cut away by the near plane (`CameraTrack.nears`)."""
+    """Smallest distance from the agent [m]; if even that is obstructed, the near plane cuts obstacles away
+    (`CameraTrack.nears`)."""
     close_m: float = 1.6
     """Distance below which other directions are preferred [m]."""
     head_m: float = 1.5
@@ -49,7 +50,8 @@ class FramingSpec:
     smooth_s: float = 0.5
     """Half width of the window over which the distance is smoothed."""
     around_s: float = 8.0
-    """`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
+    """Time before and after a step that `third_person_at` considers; with 5 s the camera was up to 0.7 m off, with 8 s
+    it never was."""
     off_axis_rad: float = 0.5
     """Largest angle between the optical axis and the followed agent."""
     together_rad: float = 1.0
@@ -61,7 +63,7 @@ class FramingSpec:
     apart_m: float = 9.0
     """Distance between both agents beyond which the other one is left out [m]."""
     jump_m: float = 0.5
-    """The camera cuts where the agent moves by more than this in one step, and faster than `jump_mps`."""
+    """Distance of an agent in one step above which the camera cuts, if the agent is also faster than `jump_mps` [m]."""
     jump_mps: float = 8.0
     """Speed beyond which the camera cuts, if the agent also moves by more than `jump_m` [m/s]."""
 
@@ -70,7 +72,7 @@ FRAMING = FramingSpec()
 
 
 def third_person(replay: Replay, leader: int | None = None, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """Camera track that follows an agent from the best free positions around it.
+    """Return a camera track that follows an agent from the best free positions around it.
 
     Positions are optimised for the whole recording at once, by dynamic programming over directions: a long free line of
     sight, the other agent visible, preferably from behind, and little turning. The followed agent is visible at every
@@ -142,7 +144,7 @@ class _Scene:
 
 
 def default_leader(replay: Replay) -> int:
-    """Number of the agent that ``third_person`` follows where none is named: the first robot, or else the first agent."""
+    """Return the number of the agent that ``third_person`` follows by default: the first robot, or else the first agent."""
     kinds = [agent.kind for agent in replay.recording.agents]
     return kinds.index("robot") if "robot" in kinds else 0
 

@@ -19,7 +19,7 @@ from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_p
 from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
 
 AJAR = 0.6
-"""Share of the range of a joint from which on its part is open, so that hands get in."""
+"""Share of a joint's range from which on its part counts as open, so that hands get in."""
 
 ON_M, STACK_M = 0.02, 0.1
 """Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
@@ -66,7 +66,7 @@ class SceneJoints:
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """World matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
+        """Return the world matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
 
         They map points from where the scene has them.
         """
@@ -137,12 +137,12 @@ _NONE = SceneJoints(
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
-    """Names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
+    """Return the names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
     return joints_of(scene).names
 
 
 def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
-    """Return the scene with its joints at other positions: the same, but for the poses of what moves and the rest positions.
+    """Return the scene with its joints at other positions: poses of moving parts and rest positions differ.
 
     Args:
         scene: The scene.

@@ -20,7 +20,7 @@ X0, Z0, X1, Z1, LOW, HIGH, AXIS, START, END, STEPS = range(10)
 1 = z) and coordinates of the ramp's ends [m]; number of risers."""
 COLUMNS = 10
 LEVEL: NDArray[np.float64] = np.zeros((0, COLUMNS))
-"""The table of a floor that is level everywhere: `FloorMap.floor_y` says how high."""
+"""Table of heights of a floor that is level everywhere, at the height `FloorMap.floor_y`."""
 
 
 def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
@@ -82,7 +82,7 @@ def height_at(heights, floor_y, x, z):
 
 @kernel_part()
 def step_at(heights, x, z):
-    """Flight of stairs and tread at (x, z).
+    """Return the flight of stairs and tread at (x, z).
 
     Returns the row of the flight, -1 if there is none; the number of the tread, which is how many risers are below the
     point; and the place along the flight, in treads from the ramp's lower end.
@@ -194,7 +194,7 @@ def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike
 
 
 def off_risers(heights: NDArray[np.float64], points: ArrayLike, *, gap_m: float = 0.05) -> NDArray[np.float64]:
-    """Places (x, z) [N, 2] moved along the stairs so that they are at least ``gap_m`` from every riser."""
+    """Move places (x, z) [N, 2] along the stairs so that they are at least ``gap_m`` from every riser."""
     places = np.array(points, np.float64)
     if len(heights):
         _off_risers(heights, places, gap_m)

@@ -1,4 +1,4 @@
-"""The catalogue of kinds of things: semantic class, mass and grasp of each, read from ``datasets/kinds/``.
+"""Catalogue of kinds of things: semantic class, mass and grasp of each, read from ``datasets/kinds/``.
 
 A file of the catalogue also holds how the generator of homes makes each kind (`Kind.model`), which only the generator reads.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.builtin import builtin_root
 
 Grasp = Literal["body", "rim", "handle", "top", "edge", "none"]
-"""Part that a hand takes hold of: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
+"""Part that a hand grasps: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
 (plates, books, boards); nothing, if it is too heavy or fixed."""
 Role = Literal["thing", "furniture", "wall", "building"]
 
@@ -27,7 +27,7 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_f
     name: str
     """Semantic class of the kind (`Asset.category`)."""
     semantic_id: int = msgspec.field(name="id")
-    """The number in semantic images. Recorded images contain it, so that it never changes."""
+    """Number in semantic images. It never changes, because recorded images contain it."""
     role: Role
     mass_kg: float
     """Typical mass of a thing of this kind."""
@@ -55,8 +55,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         )
     }
 )
-"""All kinds by semantic class, in the order of their ids: 1-99 the building and homes of the first generation, 100-199
-furniture, from 200 things."""
+"""All kinds of things by semantic class, in the order of their ids: 1-99 the building and homes of the first
+generation, 100-199 furniture, from 200 things."""
 CATEGORIES: Mapping[str, int] = MappingProxyType(
     {kind.name: kind.semantic_id for kind in KINDS.values() if kind.generation == 1}
 )
@@ -65,7 +65,7 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
 
 
 def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up.
+    """Return the point at which a hand grasps a thing with this box [2, 3] [m], +Y up.
 
     This is the middle of the box where a handle is not known.
     """

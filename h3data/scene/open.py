@@ -1,4 +1,4 @@
-"""The scene that a few words mean: a generated home, one of a set, or a file."""
+"""Scenes by a name: a generated home, a scene of a set, or a file."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedScene:
-    """A scene that can be loaded, and the words by which the command line knows it."""
+    """A scene that can be loaded, and its name on the command line."""
 
     name: str
-    """``small:3``, ``h3-homes/test#3`` or a path."""
+    """Name of the scene, such as ``small:3`` or ``h3-homes/test#3``, or a path."""
     source: SceneSource
     id: str = ""
     """Id of the scene, if it is part of a set."""
@@ -46,7 +46,7 @@ def named_scenes(
     strict: bool = False,
     allow_missing: bool = False,
 ) -> tuple[NamedScene, ...]:
-    """Return the scenes that ``text`` means; the other options are those of `SceneFile`.
+    """Return the scenes of a name; the other options are those of `SceneFile`.
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
     opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test`` or ``my.toml`` (all
@@ -85,7 +85,7 @@ def is_collection(path: str) -> bool:
 
 
 def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
-    """File and scene that ``x.scene_dataset_config.json#scene`` names; (None, None) for other paths."""
+    """Split ``x.scene_dataset_config.json#scene`` into file and scene; return (None, None) for other paths."""
     for reader in scene_readers():
         before, mark, scene = os.fspath(path).rpartition(f"{reader.collection}#")
         if reader.collection and mark:
@@ -94,7 +94,7 @@ def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str
 
 
 def open_scene_path(path: str) -> Any:
-    """Return the scene in a file, or whatever stands for a file that holds several; None if it is by its name no scene file.
+    """Return the scene in a file, or the collection if it holds several; None if its name is not that of a scene file.
 
     Raises:
         SceneError, FormatError: it cannot be read.

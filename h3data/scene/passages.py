@@ -16,7 +16,7 @@ from h3data.scene.records import Scene, Shape, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 
 LEAST_M, FOOT_M = 1.6, 0.3
-"""Doors are at least so high over the floor, and begin at most so high over it."""
+"""Least height of doors over the floor, and greatest height of their lower edge."""
 
 
 @lru_cache(maxsize=64)
@@ -42,7 +42,7 @@ def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
 
 
 def passable(scene: Scene, free: FreeSpace) -> Scene:
-    """Return the scene with the doors between its rooms open; the scene itself where there are none that are closed."""
+    """Return the scene with the doors between its rooms open; the scene itself if none is closed."""
     doors = list(passages(scene, free))
     joints = joints_of(scene)
     positions = joints.rest.copy()

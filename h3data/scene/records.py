@@ -97,7 +97,7 @@ Motion = Literal["static", "kinematic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """Asset at its place in the world."""
+    """Asset with its place in the world."""
 
     name: str
     asset: str
@@ -107,11 +107,11 @@ class Instance:
     """Scale per axis of the asset frame, shape [3]."""
     semantic_id: int = 0
     motion: Motion = "static"
-    """``static`` for the building and its furniture, ``kinematic`` for objects that agents may move."""
+    """Kind of motion: ``static`` for the building and its furniture, ``kinematic`` for objects that agents may move."""
     layer: str = ""
-    """Named layers can be hidden from a camera: views from above hide ``ceiling``."""
+    """Name of the layer, which cameras can hide: views from above hide ``ceiling``."""
     receptacles: tuple[str, ...] | None = None
-    """Names of the asset's receptacles that may be used here; None = all."""
+    """Names of the asset's receptacles that may be used; None = all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,12 +157,13 @@ class Joint:
 
     kind: JointKind
     axis: NDArray[np.float64]
-    """Direction; a ``revolute`` joint turns about it by the right-hand rule. Shape [3], made a unit vector."""
+    """Direction of the axis, shape [3], made a unit vector; a ``revolute`` joint turns about it by the right-hand
+    rule."""
     lower: float
     """Lower limit of the position [rad or m]."""
     upper: float
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    """A point on the axis, shape [3] [m]; a ``prismatic`` joint needs none."""
+    """Position of a point on the axis, shape [3] [m]; a ``prismatic`` joint needs none."""
     rest: float = 0.0
     """Position at which instances have the poses that the scene gives [rad or m]."""
 
@@ -205,12 +206,12 @@ class Joint:
 
     @property
     def closed(self) -> float:
-        """The position nearest to 0 [rad or m]."""
+        """Position nearest to 0, at which the part is closed [rad or m]."""
         return min(max(0.0, self.lower), self.upper)
 
     @property
     def opened(self) -> float:
-        """The limit farther from `closed` [rad or m]."""
+        """Limit farther from `closed` [rad or m]."""
         # a door that opens both ways is open on the side on which it opens farther
         return self.upper if self.upper - self.closed >= self.closed - self.lower else self.lower
 
@@ -220,12 +221,12 @@ class Part:
     """A moving part of an articulated thing: a door or a drawer, with what it carries."""
 
     name: str
-    """Unique in the thing; ``thing/part`` is the name of the joint in the scene."""
+    """Name of the part, unique in the thing; ``thing/part`` is the name of the joint in the scene."""
     joint: Joint
     instances: tuple[str, ...]
     """Instances that move with the joint: the part's own, and things that lie on it in the scene."""
     parent: str = ""
-    """Name of the part to which this one is hinged; empty: the body of the thing, which stands still."""
+    """Name of the part to which this one is hinged; empty for the body of the thing, which stands still."""
     encloses: tuple[str, ...] = ()
     """Receptacles (``instance|receptacle``) that are out of reach unless the part is open."""
     handle: NDArray[np.float64] | None = None
@@ -238,10 +239,10 @@ class Articulation:
 
     name: str
     pose: NDArray[np.float64]
-    """Pose (pose7) of the frame of the thing in the world, shape [7]; metres, without any scale."""
+    """Pose (pose7) of the frame of the thing in the world, shape [7]; in metres, without scale."""
     parts: tuple[Part, ...]
     base: str = ""
-    """The instance that stands still; empty if there is none."""
+    """Name of the instance that stands still; empty if there is none."""
 
 
 LightKind = Literal["point", "directional", "spot"]
@@ -261,7 +262,7 @@ class LightSource:
     intensity: float
     """Factor on the colour; negative values subtract light, as in Habitat."""
     frame: LightFrame = "global"
-    """Frame of ``vector``."""
+    """Frame of reference of ``vector``."""
     cone_rad: tuple[float, float] = (0.0, 0.0)
     """Half angles of a spot: full light inside the first, none outside the second."""
 
@@ -370,7 +371,7 @@ def instance_matrix(instance: Instance) -> NDArray[np.float64]:
 
 
 def instance_bounds(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """Axis-aligned box in the world around the bounding box of the instance's mesh, shape [2, 3] [m]."""
+    """Return the axis-aligned box in the world around the bounding box of the instance's mesh, shape [2, 3] [m]."""
     lo, hi = scene.assets[instance.asset].mesh.bounds
     matrix = instance_matrix(instance)
     center = matrix[:3, :3] @ ((lo + hi) / 2) + matrix[:3, 3]

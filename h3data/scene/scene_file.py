@@ -227,7 +227,7 @@ def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
 def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scene:
-    """Return the scene of a GLB written by `save_scene`, equal to the one saved (`scene_digest` tells)."""
+    """Return the scene of a GLB written by `save_scene`, equal to the saved one (same `scene_digest`)."""
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
         data, where = bytes(path_or_bytes), "the given bytes"
     elif isinstance(path_or_bytes, str | os.PathLike):

@@ -35,7 +35,7 @@ from h3data.scene.records import (
 
 
 def floats(values: NDArray[np.float64]) -> list[Any]:
-    """Array as nested lists of floats."""
+    """Return an array as nested lists of floats."""
     return np.asarray(values, np.float64).tolist()
 
 
@@ -251,7 +251,7 @@ def _read_part(record: dict[str, Any]) -> Part:
 
 
 def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
-    """Inverse of `asset_record`, given the mesh."""
+    """Read an asset from its record and mesh; the inverse of `asset_record`."""
     return Asset(
         name=str(record["name"]),
         mesh=mesh,
@@ -271,7 +271,7 @@ def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
 
 # --- digest -----------------------------------------------------------------------------------------------------------
 def scene_digest(scene: Scene) -> str:
-    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights, doors and drawers.
+    """Return the SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights, doors and drawers.
 
     It does not depend on files, on the order of assets, or on which meshes share a texture. The scene's name and source
     are not content.

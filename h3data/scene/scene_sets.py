@@ -58,7 +58,7 @@ class SceneSet:
 
     @property
     def label(self) -> str:
-        """Name and split, e.g. ``h3-homes/test``."""
+        """Name and split, such as ``h3-homes/test``."""
         return f"{self.name}/{self.split}" if self.split else self.name
 
     @property
@@ -67,7 +67,7 @@ class SceneSet:
         return len(self.scenes) * self.social_nav.episodes_per_scene
 
     def place(self, episode: int, task: str = "") -> tuple[SceneEntry, int]:
-        """Scene of an episode of the set, and its index within that scene, without those that the set skips in a task.
+        """Return the scene of an episode of the set, and its index within that scene, without those that the set skips.
 
         Consecutive episodes take consecutive scenes, so that the first few episodes already cover many of them.
         """
@@ -78,7 +78,7 @@ class SceneSet:
         return entry, index
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
-        """Seed (63 bits) of episode ``index`` in a scene. It does not depend on the other scenes, so sets may grow.
+        """Return the seed (63 bits) of episode ``index`` in a scene. It does not depend on the other scenes, so sets may grow.
 
         ``seed`` 0 gives the set's own episodes; any other value gives different episodes in the same scenes.
         """

@@ -24,7 +24,7 @@ SEAT_SIDES = {
     "sofa": "front",
     "stool": "front",
 }
-"""Categories of furniture with seats, and where people sit down on them."""
+"""Categories of furniture with seats, and the sides on which people sit down."""
 
 
 HEIGHTS_M, LEAST_M, ABOVE_M, BED_STEP_M = (0.2, 0.7), 0.2, 0.05, 0.6

@@ -39,7 +39,7 @@ class SceneFile:
     scene: str = ""
     """Name of the scene within a file that holds several, such as a ``.scene_dataset_config.json``."""
     assets: tuple[str, ...] = ()
-    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
+    """Additional folders in which the scene's files are searched; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
     """True if warnings count as errors."""
     allow_missing: bool = False
@@ -64,12 +64,12 @@ class SceneFile:
 
 
 SceneSource = SceneSpec | SceneFile
-"""Everything needed to obtain a scene; hashable."""
+"""Everything that identifies a scene; hashable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSize:
-    """Figures that ``h3data scenes list`` shows for scenes of one generator; None if a figure varies or does not apply."""
+    """Figures in the list of ``h3data scenes list`` for scenes of one generator; None if a figure varies or does not apply."""
 
     area_m2: float | None = None
     """Floor area [m2]."""
@@ -79,27 +79,27 @@ class SceneSize:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneGenerator:
-    """Scenes that are made of a name and a seed, such as ``small:3``."""
+    """Generator of scenes from a name and a seed, such as ``small:3``."""
 
     names: Sequence[str]
-    """Names that may stand before the colon."""
+    """Names that may come before the colon in the name of a scene."""
     named: Callable[[str, int], SceneSpec]
-    """The spec that a name and a seed stand for."""
+    """Function that returns the spec of a name and a seed."""
     Spec: Callable[..., SceneSpec]
-    """Makes a spec of the values, as keywords, that `Scene.source` or a table of a scene set gives."""
+    """Type of specs, made from the keywords in `Scene.source` or in a table of a scene set."""
     Table: type[msgspec.Struct]
     """Keys and types of a table in a scene set: ``id`` and the keywords of `Spec`."""
     build: Callable[[Any], Scene]
-    """The scene of a spec."""
+    """Function that builds the scene of a spec."""
     listed: Mapping[str, SceneSize] = field(default_factory=dict)
-    """The names that ``h3data scenes list`` shows."""
+    """Names that ``h3data scenes list`` lists."""
     about: str = ""
-    """Help text on the names of scenes, in whole sentences, shown below their list."""
+    """Help text on the names of scenes, in whole sentences, which appears below their list."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneReader:
-    """Reads scenes from files of one maker, and may write such files."""
+    """Reader of scenes from files of one format, which may also write such files."""
 
     endings: Sequence[str]
     """Endings of the files' names, in lower case."""
@@ -109,14 +109,15 @@ class SceneReader:
     open_collection: Callable[[Path], Any] | None = None
     """Function that makes the object that `h3data.open` returns for such a file."""
     scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
-    """Names of the scenes in such a file."""
+    """Function that returns the names of the scenes in such a file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
-    """The mesh of an object template: `object_mesh`."""
+    """Function that returns the mesh of an object template, as `object_mesh`."""
     write_collection: Callable[..., Path] | None = None
-    """Called as ``(scenes, folder, *, name=None, split_building=False, force=False)``: writes scenes as a new collection and
-    returns its file in the new ``folder``. ``split_building`` makes walls and floors objects of their own."""
+    """Function that writes scenes as a new collection. It is called as ``(scenes, folder, *, name=None,
+    split_building=False, force=False)`` and returns the collection's file in the new ``folder``. ``split_building``
+    makes walls and floors objects of their own."""
     write_scene: Callable[[Scene, Path], Sequence[Path]] | None = None
-    """Writes one scene as a file of the maker; returns the files that were written, the named one first."""
+    """Function that writes one scene as a file of this format and returns the files, the named one first."""
     with_objects: (
         Callable[
             [Sequence[Scene], Path, Sequence[str | Path]],
@@ -124,10 +125,10 @@ class SceneReader:
         ]
         | None
     ) = None
-    """Puts objects of a folder, found with the asset folders, in the places of movable things. Returns the scenes, the number
-    of things that were replaced, and facts of every object by name."""
+    """Function that replaces movable things by objects of a folder, found with the asset folders. It returns the
+    scenes, the number of things that were replaced, and facts of every object by name."""
     recognizes: Callable[[Path], bool] = lambda _: True
-    """Returns whether a file with such an ending is of this maker, for endings that others use too."""
+    """Function that returns whether a file with such an ending has this format, for endings that others use too."""
 
 
 def _check(entry: Any) -> None:
@@ -158,7 +159,7 @@ def scene_readers() -> list[SceneReader]:
 
 
 def reader_of(path: str) -> SceneReader | None:
-    """Return the reader of a scene file, judged by its name and, where makers share an ending, its content.
+    """Return the reader of a scene file, by its name and, if formats share an ending, its content.
 
     The result is None if there is none.
     """
@@ -190,7 +191,9 @@ def scene_files(maker: str) -> SceneReader:
 
 
 def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
-    """The mesh of the object template ``name``, in the frame of the object's logged poses: around its centre of mass [m].
+    """Return the mesh of the object template ``name`` [m], in the frame of the object's logged poses.
+
+    The origin of that frame is the centre of mass.
 
     Args:
         name: The template's name.
@@ -209,7 +212,7 @@ def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
 
 
 def missing_packages() -> str:
-    """Return a hint that names the packages of h3data that know more scenes but are not installed; empty if all are."""
+    """Return a hint with the missing packages of h3data that provide more scenes; empty if all are installed."""
     missing = ", ".join(f"{package} ({kind})" for kind, package in SCENES.missing().items())
     return f" Hint: this installation lacks {missing}; install h3data as a whole." if missing else ""
 

@@ -1,4 +1,4 @@
-"""Sensors: what agents observe, and what to make a sensor of your own with (h3data docs extending)."""
+"""Sensors: observations of agents, and the parts for sensors of your own (h3data docs extending)."""
 
 from __future__ import annotations
 

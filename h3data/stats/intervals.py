@@ -55,7 +55,7 @@ def bootstrap_interval(
 def bootstrap_intervals(
     columns: Sequence[ArrayLike], *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> list[tuple[float, float]]:
-    """Return the `bootstrap_interval` of each of several columns [E]; those with as many values share their samples."""
+    """Return the `bootstrap_interval` of each of several columns [E]; columns with equally many values share their samples."""
     check_confidence(confidence)
     defined = [_defined(values) for values in columns]
     means: dict[int, NDArray[np.float64]] = {}
@@ -126,7 +126,7 @@ class SeedSummary:
     low: float
     """Lower end of Student's t interval of the mean; NaN for one seed."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of Student's t interval of the mean; NaN for one seed."""
     seeds: int
     """Number of seeds with a defined value."""
 

@@ -1,4 +1,4 @@
-"""p values of many tests made together."""
+"""P values of many tests made together."""
 
 # Three formulas of two lines each are no reason to depend on statsmodels (its `multipletests`), the only other package
 # with all three. tests/stats/test_intervals.py checks Benjamini-Hochberg against scipy.stats, the others by hand.

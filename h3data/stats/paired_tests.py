@@ -23,7 +23,7 @@ _ENUMERATED = 20
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """``first - second`` over the episodes in which both are defined."""
+    """Difference ``first - second`` over the episodes in which both are defined."""
 
     first_mean: float
     second_mean: float
@@ -31,20 +31,20 @@ class PairedComparison:
     low: float
     """Lower end of the bootstrap interval of the mean difference over episodes."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of the bootstrap interval of the mean difference over episodes."""
     p: float
     """Two-sided p value; NaN below two pairs."""
     p_adjusted: float
-    """Adjusted for all metrics compared together; equals ``p`` for a single one."""
+    """P value adjusted for all metrics compared together; equals ``p`` for a single one."""
     method: str
     effect: float
-    """Size of the effect, of the kind that ``effect_name`` says; positive if the first run is larger, NaN if undefined."""
+    """Size of the effect, of the kind in ``effect_name``; positive if the first run is larger, NaN if undefined."""
     effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
     pairs: int
     undefined: int
     """Number of episodes in which one of the two values, or both, are undefined."""
     notes: tuple[str, ...] = ()
-    """Reservations: pairs of 0/1 values, too few pairs for a p value below .05."""
+    """Reservations about the test: pairs of 0/1 values, too few pairs for a p value below .05."""
 
 
 def compare_paired(

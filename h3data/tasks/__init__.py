@@ -1,4 +1,4 @@
-"""Tasks: what to derive a task of your own from (h3data docs extending)."""
+"""Tasks: base classes for tasks of your own (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
+"""Writing of meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
 
 `h3data.scene.save_scene` keeps scenes exactly, with vertex colours. Many programs, habitat-sim's PBR shader among them,
 drop vertex colours of meshes that have a material; files for other programs are therefore written here: colours of
@@ -44,7 +44,7 @@ class GlbNode:
     """Pose (pose7) of the mesh, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Plain JSON that other programs keep or ignore."""
+    """Plain JSON that other programs preserve or ignore."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +110,7 @@ def _one_primitive_each(meshes: list[dict[str, Any]]) -> tuple[list[dict[str, An
 def mesh_lists(
     chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
 ) -> dict[str, Any]:
-    """Members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
+    """Return the members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
 
     Args:
         chunk: the chunk of the file.

@@ -1,4 +1,4 @@
-"""Recordings as glTF 2.0 animations: one GLB with everything that was there, moving, for three.js, Blender and others."""
+"""Recordings as glTF 2.0 animations: one GLB with everything in the scene, moving, for three.js, Blender and others."""
 
 from __future__ import annotations
 

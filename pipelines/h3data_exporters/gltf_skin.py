@@ -17,7 +17,7 @@ Node = dict[str, Any]
 
 
 def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
-    """Return a GLB of one mesh in its rest pose, with its skin and joints: a rig for others to pose."""
+    """Return a GLB of one mesh in its rest pose, with its skin and joints, to be posed by other programs."""
     chunk = GlbChunk()
     rest = np.linalg.inv(skeleton.inverse_bind)
     # nodes are posed by quaternions, which have no scale
@@ -65,7 +65,7 @@ def local_poses(world: Array, parents: Sequence[int]) -> Array:
 
 
 def trs(pose: Array, scale: Array | None = None) -> Node:
-    """Translation and rotation of a node, and its scale if it is not 1."""
+    """Return the translation and rotation of a node, and its scale if it is not 1."""
     node = placement(pose, np.ones(3) if scale is None else scale)
     # a scale of 1 is the default, which files leave out
     if scale is None or (scale == 1).all():

@@ -1,4 +1,4 @@
-"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that its policies look for."""
+"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that LeRobot's policies require."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from h3data.terminal import counted
 from h3data_exporters.transitions import SUCCESS_EVENTS, transitions_of
 
 VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
-"""Videos of the episode with this number, of all its steps but the last; their files may go at the end of the block."""
+"""Function that returns the videos of an episode by number, of all its steps but the last; their files may be deleted
+at the end of the block."""
 
 
 def write_lerobot(

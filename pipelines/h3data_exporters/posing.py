@@ -97,7 +97,7 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
 
 
 def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
-    """`missing_note` of an export that draws things in their place."""
+    """Return `missing_note` for an export that writes stand-ins for missing things."""
     if stand_ins:
         return missing_note(missing, "have built-in bodies and named boxes in their place")
     note = missing_note(missing, "are marked placeholders")

@@ -40,12 +40,12 @@ class Transitions:
 
     @property
     def flat_state(self) -> NDArray[np.float32]:
-        """All of ``state`` side by side, shape [T, S]."""
+        """All values of ``state`` side by side, shape [T, S]."""
         return np.concatenate(list(self.state.values()), axis=1)
 
 
 def transitions_of(recording: Recording, *, agent: str | None = None) -> Transitions:
-    """Transitions of the agent of that name; by default of the first robot that acts, else of the first agent that does.
+    """Return the transitions of a named agent; by default of the first robot that acts, else of the first agent that does.
 
     Raises:
         InputError: nobody acts, nobody has that name, there are fewer than two steps, or an earlier export left out the last.

@@ -1,4 +1,4 @@
-"""The back end ``auto`` of `h3data.render.Renderer`: the GPU, with the CPU for what the GPU does not support."""
+"""Back end ``auto`` of `h3data.render.Renderer`: the GPU, with the CPU for what the GPU does not support."""
 
 from __future__ import annotations
 

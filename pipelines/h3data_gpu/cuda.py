@@ -1,4 +1,4 @@
-"""CUDA C that is compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes.
+"""CUDA C that is compiled at first use and launched on torch's stream, by NVRTC and the driver through ctypes.
 
 NVRTC comes with torch's own CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), one file per source,
 options, device and NVRTC version.
@@ -30,7 +30,7 @@ class GpuError(H3DataError):
 
 
 def gpu_problem() -> str | None:
-    """Reason why no GPU can be used, as a sentence; None if one can."""
+    """Return the reason why no GPU can be used, as a sentence; None if one can."""
     import torch
 
     if not torch.cuda.is_available():
@@ -113,7 +113,7 @@ class Program:
 
 
 def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -> bytes:
-    """Machine code of CUDA C (PTX for devices newer than NVRTC), from the cache if possible.
+    """Compile CUDA C to machine code (PTX for devices newer than NVRTC), or read it from the cache.
 
     Raises:
         GpuError: the source does not compile.

@@ -16,7 +16,7 @@ from h3data_gpu.pool import Pool, mesh_arrays
 
 
 class Deformables:
-    """The deformable meshes of all scenes. They precede all others in the pool, so that their per-vertex tables are short."""
+    """Deformable meshes of all scenes. They precede all others in the pool, so that their per-vertex tables are short."""
 
     def __init__(self, scenes: Sequence[GpuScene]) -> None:
         self.scenes = scenes

@@ -1,4 +1,4 @@
-"""The back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
+"""Back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
 
 Poses come from the host. For thousands of worlds, or if poses are on the device already, use `GpuRenderer`.
 """
@@ -107,7 +107,7 @@ def _whole(scene: RenderScene) -> GpuScene:
 
 
 def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict[str, Any]:
-    """``results``, copied into the tensors of ``out`` where there are any."""
+    """Copy ``results`` into the tensors of ``out`` where there are any."""
     copies = dict(results)
     for name, target in (out or {}).items():
         if name not in copies:

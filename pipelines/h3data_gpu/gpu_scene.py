@@ -32,7 +32,7 @@ class GpuScene:
 
     scene: RenderScene
     moving: Sequence[int] = ()
-    """Instances with a pose of their own in every world; those of deformable meshes need not be listed."""
+    """Instances that have a pose of their own in every world; those of deformable meshes need not be listed."""
     skins: Mapping[int, tuple[SkinWeights, NDArray[Any]]] = field(default_factory=dict)
     """Skin weights and inverse bind matrices [J, 4, 4] of deformable meshes that follow joints. Other deformable meshes
     get their vertices by `GpuRenderer.update_vertices`."""

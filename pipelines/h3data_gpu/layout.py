@@ -1,4 +1,4 @@
-"""The structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
+"""Structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
 
 Pointers of the CUDA code are addresses here.
 """
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 CAMERA_WORDS = 18
-"""Number of words per view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
+"""Number of words per view: 3x4 matrix from camera to world, fx, fy, cx, cy, near, far."""
 BOX = np.dtype([("center", "3f4"), ("first", "i4"), ("half", "3f4"), ("second", "i4")])
 PLACE = np.dtype([("slot", "i4"), ("layer", "u4"), ("group", "i4"), ("instance", "i4")])
 SCENE = np.dtype(

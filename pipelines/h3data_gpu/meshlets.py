@@ -15,7 +15,8 @@ from h3data.kernels import kernel, kernel_part
 
 CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS = 64, 128, 32
 GROUP_TRIANGLES = 1792
-"""Largest group; small enough that it seldom has more than 32 clusters. Larger groups measured no faster."""
+"""Largest number of triangles of a group; small enough that it seldom has more than 32 clusters. Larger groups measured
+no faster."""
 _BINS = 16
 
 

@@ -67,7 +67,7 @@ class Packed:
     """Named layers; layer k is bit k of a place's layer word. The empty layer has no bit."""
     textured: bool
     deformed_vertices: int
-    """Maximum over scenes, like the following fields."""
+    """Number of deformed vertices: the maximum over scenes, like the following fields."""
     deformed_clusters: int
     deformed_groups: int
     bodies: int

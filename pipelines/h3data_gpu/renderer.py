@@ -1,4 +1,4 @@
-"""`GpuRenderer`: thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
+"""Renderer of thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MAX_PIXELS = 2**31 - 1
 
 
 class GpuRenderer:
-    """Renders the same images as `h3data.render.Renderer`, for many worlds at once.
+    """Renderer of the same images as `h3data.render.Renderer`, for many worlds at once.
 
     A world is a scene with its own poses, deformed vertices and camera. Everything runs on torch's current stream; nothing
     waits for the GPU or returns to the host unless asked to, so a step can be captured as a graph (`captured`). A new
@@ -244,7 +244,7 @@ class GpuRenderer:
         self._run_deform()
 
     def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that keep light from surfaces (`Renderer.set_blockers`), one set for each world, from the host."""
+        """Set the capsules that block light from surfaces (`Renderer.set_blockers`), one set for each world, from the host."""
         if len(blockers) != self.worlds:
             raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)
@@ -429,7 +429,7 @@ class GpuRenderer:
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
-        """``step`` captured as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
+        """Capture ``step`` as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
 
         ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors that
         are on the device already. Each call overwrites the tensors that it returns. Worthwhile for few worlds, where

@@ -1,4 +1,4 @@
-"""Host side of `shade.cu` and `occlusion.cu`: from the rasteriser's words to ids, normals and RGB."""
+"""Host side of `shade.cu` and `occlusion.cu`: from rasterised words to ids, normals and RGB."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SCENE_TABLES = (
 
 
 class Shader:
-    """The tables for shading, other than the scenes', and the launches."""
+    """Tables for shading, other than the scenes', and the launches."""
 
     def __init__(self, tensors: dict[str, torch.Tensor], packed: Packed, light: Light, device: torch.device) -> None:
         import torch
@@ -63,7 +63,7 @@ class Shader:
         )
 
     def set_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that keep light from surfaces, for every world."""
+        """Set the capsules that block light from surfaces, for every world."""
         import torch
 
         self._blockers = {}

@@ -27,7 +27,7 @@ class Variant(NamedTuple):
     """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""
+        """Return the dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""
         return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 
@@ -68,7 +68,7 @@ def new_views(
     slots: int,
     device: torch.device,
 ) -> Views:
-    """Views of the worlds ``key[0]`` through one camera of ``size``, or one each; layer k of ``layers`` is bit k."""
+    """Return views of the worlds ``key[0]`` through one camera of ``size``, or one each; layer k of ``layers`` is bit k."""
     import torch
 
     world_of_view = np.array(key[0], np.int32)

@@ -1,4 +1,4 @@
-"""JSON files of other programs; errors say where and why a file stops being JSON."""
+"""JSON files of other programs; errors state where and why a file is not valid JSON."""
 
 from __future__ import annotations
 

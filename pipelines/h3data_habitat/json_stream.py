@@ -1,4 +1,4 @@
-"""The elements of a long JSON array, one by one: memory is taken for one of them, however long the document is."""
+"""Elements of a long JSON array, one by one, with the memory of one element."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SPACE = b" \t\r\n"
 
 
 class ArrayFault(Exception):
-    """The array is not whole: it breaks off, or an element is longer than is admitted. ``at``: byte of the document."""
+    """The array is incomplete, or an element is too long. ``at``: byte of the document."""
 
     def __init__(self, text: str, at: int) -> None:
         super().__init__(text)
@@ -26,7 +26,7 @@ class ArrayFault(Exception):
 
 @dataclass
 class ArrayElements:
-    """Iterates over the elements of an array of objects, as the text of each with the byte at which it begins.
+    """Iterator over the elements of an array of objects: the text of each with its first byte.
 
     ``chunks`` are the text after the array's opening bracket, cut anywhere, the first at byte ``start`` of the document.
     Only brackets and strings are looked at: what an element holds is for its decoder to judge. After the last one `rest`

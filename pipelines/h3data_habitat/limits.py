@@ -1,4 +1,4 @@
-"""Limits on what a recording from elsewhere may request: more would not fit into usual memory, and is not a recording."""
+"""Limits on the size of a foreign recording: a larger one would not fit into usual memory, and is not a recording."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from h3data.errors import FormatError
 
 MAX_STEPS = 1_000_000
 MAX_TRACK_VALUES = 1 << 27
-"""Steps times bodies (agents, metrics) times what each has."""
+"""Largest product of steps, bodies (agents, metrics) and values of each."""
 MAX_BODIES = 100_000
 MAX_AGENTS = 256
 
 
 def check_size(steps: int, things: int, path: Path, *, values: int = 7) -> None:
-    """`FormatError` if so many things with so many values each over so many steps would not fit into memory."""
+    """Raise a `FormatError` if so many things with so many values each over so many steps would not fit into memory."""
     if steps > MAX_STEPS or steps * things * values > MAX_TRACK_VALUES:
         raise FormatError(
             f"A log of {steps} steps with {things} bodies is more than can be read: {path}", code="H3-FORMAT-018"

@@ -29,13 +29,13 @@ from h3data_habitat.scenes.scene_dataset import Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 MESHES = ("textured.obj", "textured.dae", "textured.ply", "nontextured.ply", "nontextured.stl")
-"""Files of a folder of the YCB set, the best first."""
+"""Names of mesh files in a folder of the YCB set, the best first."""
 VARIANTS = ("google_16k", "google_64k", "google_512k", "poisson", "tsdf", "")
-"""Folders of an object in which they lie, the best first; empty: its own."""
+"""Subfolders of an object with mesh files, the best first; empty: the object's own folder."""
 DENSITY_KG_M3 = 400.0
 """Density of an object whose mass is unknown: half-full packages, wood, fruit."""
 GROWTH_M = 0.08
-"""Largest difference along each axis by which a thing may be smaller than the model that replaces it [m]."""
+"""Largest difference along each axis by which a model may be larger than the thing that it replaces [m]."""
 GAP_M = 0.01
 """Distance between a model and the things around it [m]."""
 _MOST_XML = 1_000_000
@@ -58,7 +58,7 @@ class ObjectModel:
     """Source of the mass: the model's ``kinbody.xml`` or config, the typical mass of its kind (`h3data.scene.kinds.KINDS`), or
     its volume."""
     grasp: Grasp
-    """Part that a hand grasps: that of its kind, else the whole body."""
+    """Part that a hand grasps: that of the object's kind, else the whole body."""
     grasp_point: NDArray[np.float64]
     """Point of the grasp in the asset's frame with its scale, shape [3] [m]."""
 
@@ -68,7 +68,7 @@ class ObjectModel:
         return self.asset.mesh.bounds.astype(np.float64) * self.scale
 
     def facts(self) -> dict[str, object]:
-        """Mass and grasp as JSON types."""
+        """Return the mass and grasp as JSON types."""
         return {
             "mass_kg": self.mass_kg,
             "mass_from": self.mass_from,
@@ -227,7 +227,7 @@ def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
 
 # --- in a home ------------------------------------------------------------------------------------------------------------
 def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed: int = 0) -> tuple[Scene, int]:
-    """Return the scene with models in place of its movable things, and how many were replaced.
+    """Return the scene with models in place of its movable things, and the number of replaced things.
 
     A model stands where the thing stood, and turned as it was. One that is larger than the thing by more than `GROWTH_M`, or
     would touch what is around it, is not chosen; a thing for which there is none stays. ``scene.source["objects"]`` has mass

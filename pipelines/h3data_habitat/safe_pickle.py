@@ -1,4 +1,4 @@
-"""Reads pickles of plain values and NumPy arrays without running anything that they name.
+"""Reading of pickles of plain values and NumPy arrays without running anything that they name.
 
 Unpickling calls whatever a file names. This unpickler has an allow-list instead, with checked stand-ins of its own behind
 every name: NumPy's functions trust their arguments, and ``dtype.__setstate__`` would change a dtype of the whole process.
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 
 MAX_UNFOLDED = 64
-"""Values per byte of the file. More come out only where a file refers to one list again and again: a few bytes could stand
-for more values than any memory holds, or for a list that contains itself."""
+"""Largest number of values per byte of the file. A file exceeds it only if it refers to one list again and again: a few
+bytes could represent more values than any memory holds, or a list that contains itself."""
 MAX_DEPTH = 100
 _DTYPES = {"O8", "b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"}
 
@@ -67,7 +67,7 @@ def builtin(value: Any) -> Any:
 
 
 class Record:
-    """Placeholder for an object of a known class: holds what the file says about it, and runs nothing."""
+    """Placeholder for an object of a known class: holds its data from the file, and runs nothing."""
 
     def __setstate__(self, state: Any) -> None:
         raise pickle.UnpicklingError(f"a {type(self).__name__} has no state")

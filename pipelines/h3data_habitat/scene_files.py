@@ -1,4 +1,4 @@
-"""Scene files that recordings and episodes name, looked up below the user's asset folders."""
+"""Scene files that recordings and episodes refer to, searched below the user's asset folders."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Folders(Protocol):
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """Folders in which files are looked for."""
+        """Folders in which files are searched."""
         ...
 
     def resolve(self, uri: str) -> Path | None:
-        """Return the file that a recorded path means."""
+        """Return the file of a recorded path."""
         ...
 
 
@@ -50,7 +50,7 @@ def _files_named(root: Path, name: str) -> tuple[Path, ...]:
 
 @functools.lru_cache(maxsize=16)
 def folders_of(assets: tuple[str, ...]) -> AssetFolders:
-    """Asset folders, walked once; () stands for those of H3DATA_ASSETS."""
+    """Return asset folders, each walked once; () stands for those of H3DATA_ASSETS."""
     return AssetFolders(assets)
 
 

@@ -1,4 +1,4 @@
-"""Habitat's scenes among the scenes that are found by path: an entry point of the group ``h3data.scenes``."""
+"""Reader of Habitat's scenes by path: an entry point of the group ``h3data.scenes``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stand-ins for missing assets of an imported recording that look like what they replace.
+"""Replacements for missing assets of an imported recording, of similar appearance.
 
 They are built-in robots and people in the recorded postures, and plain boxes with names on them for the rest.
 `h3data.recording.assets.placeholders` has the marked ones, which are the default.
@@ -42,9 +42,9 @@ BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
     "small_object": (122, 176, 138),
     "furniture": (196, 178, 152),
 }
-"""Colour of a box, by kind."""
+"""Colour of the boxes of each kind."""
 MODELS = {"spot": "quad_arm", "stretch": "lift_arm", "fetch": "lift_arm"}
-"""Built-in robot that is drawn for one whose folder has this in its name."""
+"""Built-in robots by a part of the name of the folder of the robot that they replace."""
 _SPOT_LINKS = {
     "base": "base_link",
     **{
@@ -71,7 +71,7 @@ LONGEST_NAME = 32
 
 
 def with_stand_ins(recording: Recording, library: AssetLibrary) -> tuple[Recording, dict[str, int]]:
-    """The recording with built-in bodies for agents of which no asset is found, and how many of their bodies name each file.
+    """Return the recording with built-in bodies for agents without assets, and the number of their bodies by file name.
 
     What was recorded of them stays: robots keep their base and the joints of links that a built-in robot has too, people the
     posture of their bones. Of people of whom only the root was recorded a walk is made from their path, as of imported HITL
@@ -153,7 +153,7 @@ def _robot(recording: Recording, index: int, bodies: Sequence[Body], uris: Seque
 
 
 def joints_of_links(robot: Robot, links: Mapping[int, Array], steps: int) -> Array:
-    """Joint positions [T, J] at which links are posed to each other as ``links`` (pose7 in the world [T, 7] by link) say.
+    """Return the joint positions [T, J] of links with poses ``links`` (pose7 in the world [T, 7] by link).
 
     Joints with a link on only one side, and all where a link is absent (NaN), have their resting position.
     """
@@ -229,7 +229,7 @@ def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[
 # --- boxes ------------------------------------------------------------------------------------------------------------
 @lru_cache(maxsize=512)
 def named_box(uri: str) -> Mesh:
-    """Return a plain box with the name of a missing file on its sides, where the striped one of `placeholder_mesh` is."""
+    """Return a plain box with the name of a missing file on its sides, instead of the striped one of `placeholder_mesh`."""
     kind = placeholder_kind(uri)
     low, high = placeholder_mesh(uri).bounds.astype(np.float64)
     color = BOX_COLORS[kind]

@@ -1,4 +1,4 @@
-"""Final acceptance test of a home, from its collision shapes alone: an agent can walk everywhere and reach everything."""
+"""Final acceptance test of a home, by its collision shapes alone: agents must be able to reach everything."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
 
 
 def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]:
-    """Furniture with receptacles: names, the edges or outlines from which it is used, required distances to them [m]."""
+    """Return furniture with receptacles: names, edges or outlines from which it is used, required distances to them [m]."""
     import shapely
 
     from h3data.scene.freespace._footprints import shape_footprint
@@ -62,7 +62,7 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
 
 
 def faults(scene: Scene) -> list[str]:
-    """Rooms and furniture that a walker of `WALK_RADIUS` cannot reach, and gaps of ambiguous width; empty if there are none."""
+    """Return rooms and furniture out of reach of a walker of `WALK_RADIUS`, and gaps of ambiguous width."""
     import shapely
 
     floor = open_floor(scene)

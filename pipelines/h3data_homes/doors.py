@@ -1,4 +1,4 @@
-"""Leaves in the doorways of a home: they swing into a room where nothing is in their way, and slide into the wall elsewhere."""
+"""Leaves in the doorways of a home: they swing into a room if nothing obstructs them, and otherwise slide into the wall."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from h3data_homes.style import Style
 THICK_M, GAP_M = 0.04, 0.012
 """Thickness of a leaf, and the gap around it."""
 GRIP_M = 0.09
-"""Width of a leaf that stays out of the wall, so that a hand can pull it out again [m]."""
+"""Width of a sliding leaf that stays out of the wall, so that a hand can pull it out again [m]."""
 HANDLE_M = 1.02
 """Height of handles."""
 WIDTH_M = (0.6, 1.2)
@@ -32,18 +32,18 @@ BESIDE_M = 0.35
 """Least distance of an open leaf from other doorways [m]."""
 SWING_RAD = np.pi / 2
 ALONG_M = 0.3
-"""A leaf this near to a wall stands along it."""
+"""Distance from a wall below which a leaf stands along it [m]."""
 SWINGS_M = (np.inf, ALONG_M, -1.0)
 """Distances of leaves from a wall, tried in this order until a home has no faults."""
 PRIVATE = ("bathroom", "bedroom", "child", "office", "laundry", "den", "library", "pantry")
-"""Kinds of rooms into which leaves swing by preference, most private first."""
+"""Kinds of rooms into which leaves preferably swing, most private first."""
 CLOSED: dict[str, float] = {"bathroom": 0.6, "bedroom": 0.5, "child": 0.4, "office": 0.4, "laundry": 0.6, "pantry": 0.7}
 """Share of closed doors by kind of room; of others, `OTHERS_CLOSED`."""
 OTHERS_CLOSED = 0.15
 LEAF = "leaf"
-"""Name of the part that moves."""
+"""Name of the moving part of a door."""
 STRUCTURE = ("wall", "floor", "ceiling", "trim", "rug")
-"""Parts of the structure that leaves pass."""
+"""Parts of the structure that leaves may pass."""
 FLAT_M = 0.03
 """Height up to which leaves pass over things [m]."""
 
@@ -64,7 +64,7 @@ class _Place:
 
 
 def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
-    """Scene with a door in each of its doorways, all of them open.
+    """Return the scene with a door in each of its doorways, all of them open.
 
     Doors swing if the open door is within ``swing_m`` of a wall and nothing is in its sweep; the others slide. Doorways
     that are wide, and those next to walls that are too short to slide into, stay as they are.

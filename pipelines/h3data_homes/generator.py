@@ -1,4 +1,4 @@
-"""Homes among the scenes that are found by name: an entry point of the group ``h3data.scenes``."""
+"""Generator of homes by name: an entry point of the group ``h3data.scenes``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
+"""Plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
 
 Plan coordinates are floor points (x, z) of the world [m]. Rooms extend to the middle of inner walls and to the inner face
 of outer walls, so that their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.
@@ -41,8 +41,8 @@ class RoomPlan:
 
 
 OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet", "passage"]
-"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade, ``passage`` = the
-doorway to a stairwell."""
+"""Kind of opening: ``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its
+balustrade, ``passage`` = the doorway to a stairwell, and others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class Opening:
     height: tuple[float, float]
     """Bottom and top of the clear opening [m]."""
     rooms: tuple[str, ...]
-    """The one or two rooms that it belongs to."""
+    """Names of the one or two rooms on its sides."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class Layout:
     """True if openings may be as wide as a room, so that furniture may stand near them."""
 
     def room(self, name: str) -> RoomPlan:
-        """Room with a given name."""
+        """Return the room with a given name."""
         return next(r for r in self.rooms if r.name == name)
 
 
@@ -363,7 +363,7 @@ def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
-    """Rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
+    """Plan rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
 
     Raises:
         SceneError: no acceptable plan was found.

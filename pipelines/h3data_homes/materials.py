@@ -23,7 +23,8 @@ _STEPS = 256
 """Light is quantised to 1 / _STEPS: no texel lies on the border between two sRGB bytes, and files stay small."""
 
 BOARDS, TILES = 4, 2
-"""Boards in the height of "boards" and tiles along each side of "tiles"; floors cut their pieces along these joints."""
+"""Number of boards in the height of "boards" and of tiles along each side of "tiles"; floors cut their pieces along
+these joints."""
 
 Pattern = NDArray[np.float64]
 """Darkness of each texel in arbitrary units, shape [H, W]."""

@@ -1,4 +1,4 @@
-"""Solids that furniture and walls are made of: vertices, shading normals, triangles and texture places."""
+"""Solids for furniture and walls: vertices, shading normals, triangles and texture places."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def _strips(wide: tuple[bool, ...], points: int, segments: int) -> NDArray[np.in
 
 
 def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid:
-    """Flat quads [Q, 4, 3] with texture places [Q, 4, 2].
+    """Build a solid of flat quads [Q, 4, 3] with texture places [Q, 4, 2].
 
     Without ``place``, coordinates in the mesh's frame are used, with the material upright on vertical quads: the pattern
     continues across the parts of one wall.

@@ -39,7 +39,7 @@ _LARGE_M2 = 45.0
 
 # --- living room, den, library, office --------------------------------------------------------------------------------
 def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Sofa group with a TV, the dining table if asked for, shelves, lamp and plants."""
+    """Furnish a living room: sofa group with a TV, the dining table if asked for, shelves, lamp and plants."""
     sides = rng.permutation(4).tolist()
     group = None
     for with_chair in (True, False):
@@ -79,13 +79,13 @@ def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count
 
 
 def furnish_den(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A second sofa group with a TV, shelves and a desk."""
+    """Furnish a den: a second sofa group with a TV, shelves and a desk."""
     furnish_living(rng, style, state, dining)
     place_shelves(rng, style, state, 2)
 
 
 def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Shelves along the walls, seats in the middle, a desk."""
+    """Furnish a library: shelves along the walls, seats in the middle, a desk."""
     del dining
     need(place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
     place_talk(rng, style, state)
@@ -99,7 +99,7 @@ def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Desks, shelves and seats for visitors."""
+    """Furnish an office: desks, shelves and seats for visitors."""
     del dining
     need(place_desk(rng, style, state), "desk", state)
     if state.room.area > 20:
@@ -116,7 +116,7 @@ def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- dining room ------------------------------------------------------------------------------------------------------
 def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A long table, sideboards, and shelves for the dishes."""
+    """Furnish a dining room: a long table, sideboards, and shelves for the dishes."""
     del dining
     need(place_dining(rng, style, state, seats=(8, 6, 4)), "dining table", state)
     for _ in range(2):
@@ -131,7 +131,7 @@ def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- laundry, pantry --------------------------------------------------------------------------------------------------
 def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Machines, a sink and a counter in a row; shelves."""
+    """Furnish a laundry: machines, a sink and a counter in a row; shelves."""
     del dining
     machine, sink = bath.washer(rng, style), kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     side = kitchen.counter(rng, style, 0.6)
@@ -144,7 +144,7 @@ def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Shelves along the walls."""
+    """Furnish a pantry: shelves along the walls."""
     del dining
     for count in (3, 3, 2):
         place_shelves(rng, style, state, count)
@@ -152,7 +152,7 @@ def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- kitchen ----------------------------------------------------------------------------------------------------------
 def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A row of fridge, counters, sink and stove with cabinets above; the dining table if asked for."""
+    """Furnish a kitchen: fridge, counters, sink and stove in a row with cabinets above; the dining table if asked for."""
     fridge, stove = kitchen.fridge(rng, style), kitchen.stove(rng, style)
     sink = kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     drawers, doors = kitchen.counter(rng, style, 0.6, "drawers"), kitchen.counter(rng, style, 0.6)
@@ -232,7 +232,7 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
 
 
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Bed with nightstands, wardrobe, and, space permitting, desk with chair, shelf and plant."""
+    """Furnish a bedroom: bed with nightstands, wardrobe, and, space permitting, desk with chair, shelf and plant."""
     del dining
     large = state.room.area > 26
     main = large or not state.room.name.endswith(("_2", "_3"))
@@ -267,7 +267,7 @@ def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) ->
 
 # --- bathrooms, hall --------------------------------------------------------------------------------------------------
 def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Bathtub or shower, basin with mirror, toilet, mat."""
+    """Furnish a bathroom: bathtub or shower, basin with mirror, toilet, mat."""
     del dining
     first = rng.random() < 0.6 or state.room.area > 6.5
     done = place_single(rng, state, bath.bathtub(rng, style), corner=True) if first else None
@@ -298,7 +298,7 @@ def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Pla
 
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
+    """Furnish a hall: a shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
     del dining
     _runner(rng, style, state, least_m=1.3)
     for _ in range(int(state.room.area // 20)):

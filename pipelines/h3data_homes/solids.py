@@ -1,4 +1,4 @@
-"""`MeshBuilder`, which collects coloured and textured solids into one mesh, and operations on colours and meshes."""
+"""Builder of meshes from coloured and textured solids, and operations on colours and meshes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _Turn = NDArray[np.float64] | None
 
 
 class MeshBuilder:
-    """Collects solids and returns them as one `Mesh`.
+    """Builder that collects solids and returns them as one `Mesh`.
 
     A part whose colour is a `Finish` shows that material, its grain along the part's longest side; every part is cut from
     a different place of the pattern. Meshes are built lazily, by `mesh`, because most furniture is tried and discarded.
@@ -74,11 +74,11 @@ class MeshBuilder:
         bevel: float = 0.0,
         turn: _Turn = None,
     ) -> None:
-        """A box; a bevel cuts its edges and shades them round (24 vertices with or without)."""
+        """Add a box; a bevel cuts its edges and shades them round (24 vertices with or without)."""
         self._boxes.append((center, size, color, bevel, turn))
 
     def span(self, low: Sequence[float], high: Sequence[float], color: Color, *, bevel: float = 0.0) -> None:
-        """A box between two corners."""
+        """Add a box between two corners."""
         (a, b, c), (d, e, f) = low, high
         self._boxes.append((((a + d) / 2, (b + e) / 2, (c + f) / 2), (d - a, e - b, f - c), color, bevel, None))
 
@@ -91,11 +91,11 @@ class MeshBuilder:
         radius: float = 0.05,
         turn: _Turn = None,
     ) -> None:
-        """A box with rounded edges (108 triangles), for upholstery."""
+        """Add a box with rounded edges (108 triangles), for upholstery."""
         self._add(primitives.cushion, (np.asarray(size, float), radius), color, center, turn)
 
     def pillow(self, center: ArrayLike, size: ArrayLike, color: Color, *, turn: _Turn = None) -> None:
-        """A pillow lying flat, thick in the middle and thin at its rim (144 triangles)."""
+        """Add a pillow lying flat, thick in the middle and thin at its rim (144 triangles)."""
         self._add(primitives.pillow, (np.asarray(size, float),), color, center, turn)
 
     def lathe(
@@ -108,7 +108,7 @@ class MeshBuilder:
         stretch: tuple[float, float] = (1.0, 1.0),
         turn: _Turn = None,
     ) -> None:
-        """A profile of (radius, height) revolved about y; an ascending profile faces outwards. ``stretch`` scales x and z.
+        """Revolve a profile of (radius, height) about y; an ascending one faces outwards. ``stretch`` scales x and z.
 
         Kinks above 50 degrees stay sharp; the rest is shaded smooth.
         """
@@ -128,7 +128,7 @@ class MeshBuilder:
         bevel: float = 0.0,
         turn: _Turn = None,
     ) -> None:
-        """A closed cylinder or cone frustum about y, given by its centre."""
+        """Add a closed cylinder or cone frustum about y, given by its centre."""
         top, h = radius if top_radius is None else top_radius, height / 2
         if bevel > 0:
             rim = [(radius - bevel, -h), (radius, bevel - h), (top, h - bevel), (top - bevel, h)]
@@ -139,7 +139,7 @@ class MeshBuilder:
     def ellipsoid(
         self, center: ArrayLike, radii: Sequence[float], color: Color, *, segments: int = 12, rings: int = 7
     ) -> None:
-        """A closed ellipsoid with half axes ``radii`` (x, y, z)."""
+        """Add a closed ellipsoid with half axes ``radii`` (x, y, z)."""
         angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
         profile = [
             (max(float(np.cos(a)), 0.0) if 0 < i < rings else 0.0, float(np.sin(a)) * radii[1])
@@ -148,7 +148,7 @@ class MeshBuilder:
         self.lathe(profile, color, center=center, segments=segments, stretch=(radii[0], radii[2]))
 
     def quads(self, corners: ArrayLike, colors: Sequence, *, place: NDArray[np.float64] | None = None) -> None:
-        """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one colour each.
+        """Add flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one colour each.
 
         All have the material of the first. ``place`` [Q, 4, 2] holds positions on it [m]; by default the coordinates count.
         """

@@ -14,7 +14,7 @@ from h3data.errors import InputError
 
 Preset = Literal["small", "medium", "large"]
 Look = Literal["nordic", "industrial", "rustic", "mid_century", "mediterranean", "classic", "japandi", "colourful"]
-"""Styles of homes of the second generation."""
+"""Style of homes of the second generation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
         "large": HomePreset(area_m2=846.15, bedrooms=4, bathrooms=4, extra=("den", "office")),
     }
 )
-"""Areas and rooms of the Habitat 3.0 paper's benchmark homes (research/navigation-and-stepping.md 6)."""
+"""Areas and rooms of the benchmark homes in the Habitat 3.0 paper (research/navigation-and-stepping.md 6)."""
 
 MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
 MAX_CLUTTER, MAX_DENSITY = 4.0, 12
@@ -76,9 +76,9 @@ HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         if not (storeys and preset == "large")
     }
 )
-"""Options of `HomeSpec` by the name before the colon of a home: ``small:3``, ``small2:3`` is of the second generation, in
-``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys, in ``small2-doors:3`` furniture
-and the doors between rooms open and close."""
+"""Options of `HomeSpec` by the name before the colon of a home. ``small2:3`` is of the second generation; in
+``small-open:3`` and ``small2-open:3`` furniture opens; ``small2-storeys:3`` has two storeys; in ``small2-doors:3``
+furniture and the doors between rooms open and close."""
 
 
 _LATER: Mapping[str, Any] = MappingProxyType(
@@ -109,18 +109,19 @@ class HomeSpec:
     clutter: float = 1.0
     """Amount of small objects: 0 leaves them out, 2 gives about twice as many. The furniture stays the same."""
     density: int = 1
-    """Parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to load renderers.
-    Collision shapes stay the same."""
+    """Number of parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to
+    load renderers. Collision shapes stay the same."""
     articulated: bool = False
     """True if fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
     too."""
     generation: int = 1
-    """1 = the homes of `h3-homes`, 2 = those of `h3-homes-v2`: more kinds of things, rooms and styles."""
+    """Generation of homes: 1 = those of `h3-homes`, 2 = those of `h3-homes-v2`, with more kinds of things, rooms and
+    styles."""
     style: Look | None = None
     """Style of a home of the second generation; None = chosen by the seed."""
     storeys: int = 1
-    """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
-    those of each storey."""
+    """Number of storeys: 2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area,
+    bedrooms and bathrooms are those of each storey."""
     doors: bool = False
     """True if doorways have doors, some of them closed (second generation). The rest of the home stays the same."""
 
@@ -175,7 +176,7 @@ class HomeSpec:
 
     @property
     def program(self) -> HomePreset:
-        """The preset with this spec's overrides applied."""
+        """Preset with the overrides of this spec applied."""
         preset = HOME_PRESETS[self.preset]
         area_m2 = preset.area_m2 if self.area_m2 is None else self.area_m2
         bedrooms = preset.bedrooms if self.bedrooms is None else self.bedrooms
@@ -234,7 +235,7 @@ def _extra_rooms(area_m2: float, bedrooms: int, bathrooms: int) -> tuple[str, ..
 
 
 def seed_look(seed: int) -> Look:
-    """Return the style that a seed stands for."""
+    """Return the style that a seed determines."""
     digest = hashlib.sha256(f"h3data.homes/look/{int(seed)}".encode()).digest()
     return get_args(Look)[digest[0] % len(get_args(Look))]
 
@@ -257,7 +258,7 @@ def _check_whole(name: str, value: object, low: int, high: int) -> None:
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
-    """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
+    """Return the random generator of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
     A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`, ``density``,
     ``style``, ``articulated`` and ``doors`` are not part of the key: they leave rooms and furniture unchanged.

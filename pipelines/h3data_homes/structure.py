@@ -69,7 +69,7 @@ def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
 
 
 def wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
-    """(axis, line, span along, span across) of every wall; outer walls along x include the corners."""
+    """Return (axis, line, span along, span across) of every wall; outer walls along x include the corners."""
     t = WALL_THICKNESS
     runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
     for axis, line, span in _outer_walls(layout):
@@ -93,7 +93,7 @@ def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]
 
 
 def wall_boxes(layout: Layout) -> list[WallBox]:
-    """Solid boxes of all walls, with lintels above doors and windows and parapets below windows."""
+    """Return solid boxes of all walls, with lintels above doors and windows and parapets below windows."""
     boxes = []
     for axis, line, along, across in wall_runs(layout):
         cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9]
@@ -142,7 +142,7 @@ def face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[f
 
 
 def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, float, float, list[Opening]]]:
-    """(axis, face, inward sign, low, high, openings) of the four wall faces of a room."""
+    """Return (axis, face, inward sign, low, high, openings) of the four wall faces of a room."""
     sides = []
     for axis in (0, 1):
         across = 1 - axis
@@ -233,7 +233,7 @@ def ceiling_asset(layout: Layout, style: Style) -> Asset:
 
 
 def trim_asset(layout: Layout, style: Style) -> Asset:
-    """Baseboards along the walls and casings around the doors."""
+    """Build baseboards along the walls and casings around the doors."""
     mesh = MeshBuilder()
     for room in layout.rooms:
         for axis, face, sign, low, high, openings in room_sides(layout, room):

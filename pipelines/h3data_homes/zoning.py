@@ -24,14 +24,14 @@ _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
 Rect = tuple[float, float, float, float]
-"""Rectangle x0 z0 x1 z1 [m]."""
+"""Rectangle as x0, z0, x1, z1 [m]."""
 Tile = tuple[str, Rect]
 """Kind of room and its rectangle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Zoning:
-    """Rooms without doors; they and the notches tile ``0 0 width depth``."""
+    """Rooms of a plan without doors; with the notches they tile the rectangle ``0 0 width depth``."""
 
     width: float
     depth: float
@@ -51,7 +51,7 @@ def rounded(rect: Rect) -> Rect:
 
 
 def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
-    """(axis along which it runs, line, low, high) of the wall between two rooms, or None."""
+    """Return (axis along which it runs, line, low, high) of the wall between two rooms, or None."""
     for axis in (0, 1):
         across = 1 - axis
         for first, second in ((a, b), (b, a)):
@@ -96,7 +96,7 @@ _MUST_TOUCH = {
 
 
 def size_penalty(tiles: Sequence[Tile], limits: Limits, roomy: float = 1.0) -> float:
-    """Penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
+    """Return the penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
     total = 0.0
     for kind, rect in tiles:
         side, least, most, aspect = limits[kind]

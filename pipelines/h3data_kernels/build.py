@@ -1,4 +1,4 @@
-"""Fills the folder of this Python and numba with the kernels that h3data's commands use: ``make kernels``.
+"""Builder of the compiled kernels that h3data's commands use, for this Python and numba: ``make kernels``.
 
 It runs the commands of `SESSIONS`, each session in a process tree and with caches of its own, and keeps what they have loaded
 or compiled (`h3data.kernels.shipped.RECORD`). Kernels whose code has not changed are loaded from the folder, so only new ones
@@ -54,12 +54,13 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         f"{TESTS} tests/worlds/test_usd_foreign.py -k right_size_and_floor",
     ),
 }
-"""Commands that users run, by their names in progress messages, and tests of what they do with files that only users have.
-``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in ``../shared/real``."""
+"""Commands that users run, by their names in progress messages, and tests for commands that need users' files.
+``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in
+``../shared/real``."""
 
 
 def build() -> str:
-    """Run everything and replace the folder; say what it holds."""
+    """Run all sessions and replace the folder of kernels; print its contents."""
     if sys.platform != "linux" or not shipped.folder_name().endswith(shipped.LEVEL):
         raise SystemExit(f"Kernels are shipped for Linux on x86-64; this is {shipped.folder_name()}.")
     with TemporaryDirectory() as scratch, ThreadPoolExecutor(core_count()) as pool:

@@ -1,1 +1,1 @@
-"""Tasks told in words: instructions with propositions, their evaluation from recordings, experts that carry them out."""
+"""Tasks in words: instructions with propositions, their evaluation from recordings, and experts that carry them out."""

@@ -44,13 +44,13 @@ NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
 """Distance between things that are placed next to each other [m], well within the limit of the proposition."""
 IN_TIME = 0.8
-"""Share of the longest duration in which a person alone does the work, as far as straight lines tell."""
+"""Share of the longest duration in which a person alone can do the work, estimated by straight lines."""
 DETOUR = 1.4
-"""Approximate length of a path over the straight line."""
+"""Approximate ratio of the length of a path to the straight line."""
 ERRAND_S = 8.0
 """Approximate time to take and to put down one thing, doors and turning included [s]."""
 FLOOR_POINTS, FLOOR_TRIED = 400, 12
-"""Points of a room's floor that are sampled, and those of them that are tried."""
+"""Number of points that are sampled on a room's floor, and number of those that are tried."""
 FLOOR_GAP_M, FLOOR_EDGE_M, FLOOR_NEAR_M = 0.02, 0.25, 0.7
 """Distances of a thing on the floor from walls and furniture, at least, and of its middle, at most: people whose bodies have
 this radius walk past it; and the distance of the middles of things next to each other, at most [m]."""
@@ -95,15 +95,15 @@ class LanguageSpec(RearrangeSpec):
 
 
 class Errand(msgspec.Struct, frozen=True):
-    """A part of the work: to bring a thing to one of its goals, or to do something to it in place."""
+    """Part of the work: bringing a thing to one of its goals, or handling it in place."""
 
     thing: int
     handle: bool
-    """True if a person has to clean, fill, pour out or switch it; False to bring it to a goal."""
+    """True if a person has to clean, fill, pour out or switch the thing; False if it has to be brought to a goal."""
     stage: int = 0
-    """Number of the goal, of a thing that moves more than once."""
+    """Number of the goal, for a thing that moves more than once."""
     after: tuple[int, ...] = ()
-    """Errands that have to be done before."""
+    """Errands that have to be completed before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,7 @@ class LanguageTask:
     targets: tuple[Target, ...]
     starts: Starts
     extra: Mapping[str, Any] = field(default_factory=dict)
-    """`Episode.extra`: evaluation, layout, states, errands."""
+    """Value of `Episode.extra`: evaluation, layout, states, errands."""
 
 
 def sample_task(
@@ -461,7 +461,7 @@ def errands_of(
 
 
 def steps_alone(task: LanguageTask, spec: LanguageSpec) -> float:
-    """About how many steps a person alone takes for a task's errands, one after the other."""
+    """Estimate the steps that a person alone takes for a task's errands, one after the other."""
     here, length = task.starts.human_xz, 0.0
     errands = msgspec.convert(task.extra["errands"], list[Errand])
     for errand in errands:

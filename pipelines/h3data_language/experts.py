@@ -1,4 +1,4 @@
-"""Experts for tasks in words, which know the errands of a task and share them out, or each take the nearest.
+"""Experts for tasks in words, which know the errands of a task and share them, or each choose the nearest.
 
 ``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
 and leaves to others what they hold or head for. ``language_talk`` plans for itself, and says so. With the rule
@@ -35,25 +35,25 @@ HANDLING_WAIT = 15
 PAUSE = 8
 """Number of steps after which an agent without an errand asks again."""
 AVOID = 90
-"""Number of steps for which an errand is left after failures."""
+"""Number of steps for which an errand is avoided after failures."""
 LATE = 600
 """Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
 PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
-"""Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
+"""Largest number of orders of the errands that are compared; with more errands, the nearest comes first."""
 ASIDE_M = 2.0
-"""Least distance between one who asks somebody to move and the thing to which that agent goes [m]."""
+"""Least distance between an agent that asks another to move and the thing to which the other goes [m]."""
 ESCAPES = tuple(
     ("turn_" + side,) * 2 + ("move_" + way,) * 4 for way in ("backward", "forward") for side in ("left", "right")
 )
 """Primitives that are tried in turn by a robot that is stuck in a doorway, about 20 degrees and 1.3 m each."""
 WORK_M = 4.0
-"""Time that an errand takes at its places, as the path that one could walk in it [m]."""
+"""Length of a path that takes as long as the work of an errand at its places [m]."""
 
 
 class Plan:
-    """Plan for the errands of one episode: which agent does which."""
+    """Assignment of the errands of one episode to agents."""
 
     def __init__(self, episode: Any, kinds: Sequence[str]) -> None:
         self.errands = msgspec.convert(episode.extra["errands"], list[Errand])
@@ -87,7 +87,7 @@ class Plan:
         return found
 
     def open(self, view: RearrangeView, agent: int) -> list[int]:
-        """Errands that an agent can begin now."""
+        """Return the errands that an agent can begin now."""
         done, others = self.done(view), {self.errands[n].thing for a, n in self.doing.items() if a != agent}
         return [
             n
@@ -102,7 +102,7 @@ class Plan:
         ]
 
     def early(self, view: RearrangeView, agent: int) -> int:
-        """Return the nearest errand whose thing an agent can fetch while others do what has to be done before; -1: none."""
+        """Return the nearest errand whose thing an agent can fetch while others complete its conditions; -1: none."""
         done, theirs = self.done(view), {n for a, n in self.doing.items() if a != agent}
         things = {self.errands[n].thing for n in theirs}
         found = [
@@ -120,11 +120,11 @@ class Plan:
         return min(found, key=lambda n: self.length(view, view.xz, n)[0], default=-1)
 
     def waits(self, view: RearrangeView, n: int) -> bool:
-        """Return whether something has to be done before an errand."""
+        """Return whether an errand has to wait for others."""
         return not set(self.errands[n].after) <= self.done(view)
 
     def rescue(self, view: RearrangeView, agent: int) -> int:
-        """Return the errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
+        """Return an errand to take over from an agent that is late with it, for an agent without one; -1: none."""
         for other, n in self.doing.items():
             thing = self.errands[n].thing
             late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY and view.is_known(thing)
@@ -134,7 +134,7 @@ class Plan:
         return -1
 
     def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
-        """Return the path of an errand from somewhere, its work included [m], and where it ends."""
+        """Return the length of the path of an errand from a place, its work included [m], and its end."""
         errand = self.errands[n]
         start = view.objects[errand.thing, [0, 2]]
         length = self._path(view, here, start) + WORK_M
@@ -220,7 +220,7 @@ class Expert:
             self.plan = shared
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present errand, or of the one that it takes up."""
+        """Return the next skill of the present errand, or of the next one that it begins."""
         if not self.greedy and not self.begun:
             self._begin(view)
         plan = self.plan
@@ -317,7 +317,7 @@ class Expert:
 
 
 class Talker(Speaker, Expert):
-    """Agent with a plan of its own, which says what it takes, leaves, has handled and sees, and hears the same of others."""
+    """Agent with a plan of its own, which announces what it takes, leaves, has handled and sees, and hears others do so."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str]) -> None:
         Speaker.__init__(self, episode)
@@ -349,7 +349,7 @@ class Talker(Speaker, Expert):
         return None if near is None else Action("nav_to_object", near)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to stop, as of the other experts; nothing keeps an agent from stepping aside."""
+        """Return the reason to stop, as for the other experts; an agent can always step aside."""
         return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:

@@ -1,4 +1,4 @@
-"""Words for the things, furniture and rooms of a home, and which of them they mean."""
+"""Words for the things, furniture and rooms of a home, and their meaning."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 
 FLOOR = "floor of "
-"""Begins the names of places on the floor of rooms."""
+"""Beginning of the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
 """Furniture on which nobody is asked to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
@@ -50,7 +50,7 @@ class Home:
     surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
     """Open surfaces by the name of their furniture."""
     enclosed: Mapping[str, list[tuple[Instance, Receptacle]]]
-    """Surfaces behind its doors and in its drawers, by the name of the furniture."""
+    """Surfaces behind doors and in drawers, by the name of their furniture."""
     lies_on: Mapping[str, str]
     """Furniture on which each thing lies in the scene."""
     categories: Mapping[str, str]
@@ -75,7 +75,7 @@ def room_words(room: str) -> str:
 
 @lru_cache(maxsize=8)
 def home_of(scene: Scene, open_m: float) -> Home:
-    """Describe a home in words; open surfaces with less than ``open_m`` [m] above them take nothing."""
+    """Describe a home in words; open surfaces with less than ``open_m`` [m] above them are left out."""
     things = [i.name for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     layout, enclosed = Layout.of_scene(scene, things), joints_of(scene).enclosing
     by_name = {i.name: i for i in scene.instances}
@@ -155,7 +155,7 @@ def clause_parts(clause: str) -> tuple[int, str, list[list[str]]]:
 
 
 def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposition | None:
-    """Return the proposition of a clause whose slots mean these names; None for one that asks for nothing."""
+    """Return the proposition of a clause for the names in its slots; None for one without a requirement."""
     number, verb, lists = clause_parts(clause)
     first, *rest = ([name for slot in each for name in slots[slot]] for each in lists)
     if verb == "at":
@@ -176,7 +176,7 @@ def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposi
 
 
 def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> dict[str, object]:
-    """Propositions, dependencies and constraints of a template whose slots mean these names, in PARTNR's JSON."""
+    """Return propositions, dependencies and constraints of a template for the names in its slots, in PARTNR's JSON."""
     found = [(k, p) for k, c in enumerate(template.clauses) if (p := proposition_of(c, slots)) is not None]
     count, numbers = len(found), [k for k, _ in found]
     constraints: list[dict[str, object]] = []
@@ -204,11 +204,11 @@ def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> d
 
 
 Words = Mapping[str, Mapping[str, tuple[str, ...]]]
-"""Names that phrases mean, by the slots in which they stand: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
+"""Names that phrases mean, by slots: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
 
 
 def parse(instruction: str, words: Words) -> list[Evaluation]:
-    """Find all evaluations that an instruction can mean: one, unless it is ambiguous.
+    """Find all possible evaluations of an instruction: one, unless it is ambiguous.
 
     Raises:
         InputError: it means nothing: no wording fits, or something in it is not in the home.

@@ -1,4 +1,4 @@
-"""PARTNR's episodes as tasks in words: what has to be brought where, in which order, so that their propositions become true.
+"""PARTNR's episodes as tasks in words: the goals and order that make their propositions true.
 
 An episode says when it is complete, not how. Here each of its propositions gets things, of which each gets a place, so that
 experts carry them out and skills know goals; evaluated are the propositions alone. The files are those of PARTNR's users,
@@ -44,7 +44,7 @@ from sim_kinematic.tasks.rearrange.episode import Target
 TRIES = 8
 """Number of random placements of the objects that are tried."""
 LONGEST_INSTRUCTION = 5_000
-"""Largest number of characters in an instruction, which language models read again with each decision."""
+"""Largest number of characters of an instruction, which is part of every request to a language model."""
 MAX_STEPS = 20_000
 """Longest duration of PARTNR's episodes."""
 
@@ -53,11 +53,12 @@ class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
     """A task in words in an episode file."""
 
     extra: Mapping[str, Any]
-    """`Episode.extra`: propositions, layout, states, errands. Of PARTNR's files, without layout and errands."""
+    """Value of `Episode.extra`: propositions, layout, states, errands; without layout and errands for PARTNR's
+    files."""
 
     @property
     def is_planned(self) -> bool:
-        """True if the places of all things are known, which PARTNR's files leave open."""
+        """True if the places of all things are known; PARTNR's files do not state them."""
         return LAYOUT in self.extra
 
 
@@ -101,7 +102,7 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
 
 
 def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
-    """States of things at the start of an episode, by our names; false where the file does not say.
+    """Return the states of things at the start of an episode, by our names; false if the file gives none.
 
     Raises:
         FormatError: they are malformed.
@@ -117,7 +118,10 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
 
 
 def kind_of(propositions: Sequence[Proposition], extra: Mapping[str, Any]) -> Kind:
-    """Type of a task as in PARTNR, where several fit: what only people can do, an order, neighborhood, in this sequence."""
+    """Return the type of a task as in PARTNR.
+
+    If several fit, the order is: what only people can do, an order of steps, neighborhood.
+    """
     names = {p.function_name for p in propositions}
     if names & set(STATE_OF):
         return "heterogeneous"
@@ -304,7 +308,7 @@ class PartnrPlan:
         return found
 
     def errands(self) -> tuple[Errand, ...]:
-        """Return the work, with its order."""
+        """Return the errands, with their order."""
         found: list[Errand] = []
         of: list[list[int]] = []
         for name, stages in self.stages.items():
@@ -325,7 +329,7 @@ class PartnrPlan:
 def plan_episode(
     record: StoredLanguage, scene: Scene, free: FreeSpace, spec: LanguageSpec, robot: Robot, human: Humanoid
 ) -> tuple[tuple[Target, ...], dict[str, Any]]:
-    """Goals for the things of an episode of PARTNR's files in its scene, and `Episode.extra`.
+    """Place the goals for the things of an episode of PARTNR's files in its scene; also return `Episode.extra`.
 
     Raises:
         InputError: its propositions name what is not in the scene, or contradict each other.

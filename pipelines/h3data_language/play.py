@@ -25,14 +25,14 @@ from sim_kinematic.agents.skills import INSIDE, Destination, sentence
 from sim_kinematic.tasks.task import Task
 
 USES = {("clean", True): "clean", ("filled", True): "fill", ("filled", False): "pour", ("powered", True): "on"}
-"""Word for the page of what a player can do to a thing, by the state and its value afterwards."""
+"""Words on the page for what a player can do to a thing, by the state and its value afterwards."""
 DONE = {
     "clean": "The {} is clean now.",
     "fill": "The {} is full now.",
     "pour": "The {} is empty now.",
     "on": "The {} is switched on now.",
 }
-"""Lines for the player about what has been done to things."""
+"""Texts for the player after something has been done to a thing."""
 SAID = {
     "i_take": "I take the {}.",
     "i_leave": "I leave the {} to you.",
@@ -63,7 +63,7 @@ class LanguageDriver(SkillDriver):
         return super().follow(message)
 
     def use(self, message: Use) -> str:
-        """Cleans, fills, pours out or switches a thing."""
+        """Clean, fill, pour out or switch a thing."""
         if message.o >= len(self.objects.names):
             raise InputError(f"There is no object {message.o} in this task.", code="H3-LANGUAGE-036")
         play, k = self.session.play, message.o
@@ -95,7 +95,7 @@ class LanguagePerson(LanguageDriver, PersonDriver):
 
 
 class LanguageRobot(LanguageDriver, RobotDriver):
-    """Robot of a task in words, which puts things down at goals only: it gives the thing another one."""
+    """Robot of a task in words. It puts things down only at goals, so it assigns another goal first."""
 
     def bring(self, k: int, to: Destination) -> str:
         """Give held thing ``k`` a goal at a destination and bring it there."""
@@ -116,12 +116,12 @@ class LanguageApp(RearrangeApp):
     """True if players are told how many propositions have been satisfied."""
 
     def driver(self, number: int) -> Driver:
-        """Driver of a person or a robot of a task in words."""
+        """Return the driver of a person or a robot of a task in words."""
         is_person = isinstance(self.session.play.team.actors[number], DrivenPerson)  # type: ignore[attr-defined]
         return (LanguagePerson if is_person else LanguageRobot)(self.session, number)
 
     def hud(self, number: int) -> Hud:
-        """Instruction, time left, what has been done to things, and progress where it is shown."""
+        """Return the instruction, the time left, the states of things, and the progress if the task shows it."""
         memory, extra = self.session.play.memory, self.session.episode.extra
         uses, lines = [], list[str]()
         for k, (state, value) in enumerate(extra["uses"]):
@@ -137,11 +137,11 @@ class LanguageApp(RearrangeApp):
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=tuple(lines), uses=tuple(uses) if person else ())
 
     def goals(self) -> list[Goal]:
-        """Return nothing, because the instruction says where things go."""
+        """Return nothing, because the instruction states where things have to be put."""
         return []
 
     def phrases(self) -> list[Phrase]:
-        """Return messages of one press: which thing a player takes or has brought, and that somebody stands in the way."""
+        """Return messages for buttons: things that a player takes or has brought, and a request to make room."""
         things = self.session.play.team.objects.names  # type: ignore[attr-defined]
         found = [
             Phrase(self.spoken(said.text), said.text)
@@ -169,7 +169,7 @@ class LanguageApp(RearrangeApp):
         return sorted(spots, key=lambda spot: spot.room)
 
     def spoken(self, text: str) -> str:
-        """Return a sentence for a message of a planner; what people and language models say as it is."""
+        """Return a sentence for a message of a planner; texts of people and language models stay as they are."""
         intent = Intent.of(text)
         if intent is None:
             return text

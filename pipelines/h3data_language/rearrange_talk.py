@@ -1,4 +1,4 @@
-"""Planners of rearrangement that tell each other what they take and where things are, and the same planners without words.
+"""Planners of rearrangement that announce what they take and where things are, and the same planners without messages.
 
 ``nearest_talk`` and ``nearest_quiet`` bring the nearest object that is left, as robots and as people. The first leaves to
 others what they have said to take, and with the rule ``observe=seen`` looks first where it has been told that an object is.
@@ -14,24 +14,24 @@ from sim_kinematic.policies.rearrange import Chooser, robot_policy
 from sim_kinematic.policies.searching import Search, Seeking
 
 LATE = 600
-"""Number of steps after which an object that somebody has said to take, and has not taken, is free for others."""
+"""Number of steps after which an object that another agent has announced to take, and has not taken, is free again."""
 
 
 def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
-    """Return a planner that brings the nearest object that is left."""
+    """Return a planner that brings the nearest remaining object."""
     del task, number
     policy = robot_policy("greedy_nearest")
     return Seeking(policy) if episode.spec.observe == "seen" else policy
 
 
 def nearest_talk(task: Any, episode: Any, number: int) -> Any:
-    """Return a planner that also says what it takes and sees, and hears the same of others."""
+    """Return a planner that also announces what it takes and sees, and hears others do so."""
     del task
     return Teller(episode, number)
 
 
 class Teller(Speaker):
-    """Planner of the nearest object that nobody else has said to take."""
+    """Planner that chooses the nearest object that no other agent has announced to take."""
 
     def __init__(self, episode: Any, number: int) -> None:
         super().__init__(episode)
@@ -48,7 +48,7 @@ class Teller(Speaker):
 
     @property
     def interrupts_every(self) -> int:
-        """Number of steps after which `interrupts` is asked again."""
+        """Number of steps between calls of `interrupts`."""
         return getattr(self.policy, "interrupts_every", 1)
 
     def _choose(self, view: RearrangeView) -> Action:

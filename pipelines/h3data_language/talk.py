@@ -16,7 +16,7 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.sensing.sight import surface_names
 
 INTENTS = {"i_take": 1, "i_leave": 1, "handled": 1, "brought": 1, "is_in": 2, "please_move": 0}
-"""Number of names that follow each intent: things, and of ``is_in`` a thing and a surface or room."""
+"""Number of names that follow each intent: things, and for ``is_in`` a thing and a surface or room."""
 
 
 class Intent(NamedTuple):

@@ -1,4 +1,4 @@
-"""The task ``language``: agents carry out an instruction in words, and propositions say how far they have come."""
+"""Task ``language``: agents carry out an instruction in words, and propositions measure their progress."""
 
 from __future__ import annotations
 
@@ -52,24 +52,24 @@ from sim_kinematic.tasks.skills.household import Household
 HANDLING_STEPS = 12
 """Number of steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
 HANDLING_M = 1.5
-"""Distance on the floor from a person to what they handle, at most [m]."""
+"""Largest distance on the floor from a person to a thing that they handle [m]."""
 _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
 
 
 class LanguageCodec(RearrangeCodec):
-    """Writes tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
+    """Codec of tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
 
     foreign: ClassVar[str] = PROPOSITIONS
 
     def record(self, episode: Episode) -> StoredLanguage:
-        """Record of an episode: that of rearrangement, and what was sampled besides."""
+        """Return the record of an episode: that of rearrangement, and the other sampled values."""
         record = super().record(episode)
         return StoredLanguage(**{f: getattr(record, f) for f in record.__struct_fields__}, extra=plain(episode.extra))
 
     entry = EpisodeCodec[StoredRearrangement].entry  # not in the form of Habitat's rearrangement episodes
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
-        """Record in an entry of a file, ours or PARTNR's, which gets the seed; None if the entry belongs to another task.
+        """Return the record in an entry of a file, ours or PARTNR's, which gets the seed; None for entries of other tasks.
 
         Raises:
             FormatError, InputError: its propositions are malformed, or ask for what cannot be played.
@@ -82,13 +82,13 @@ class LanguageCodec(RearrangeCodec):
         return record
 
     def rules(self, record: StoredRearrangement) -> LanguageSpec:
-        """Return rules in a record; PARTNR's episodes may last longer than ours."""
+        """Return the rules in a record; PARTNR's episodes may last longer than ours."""
         spec = super().rules(record)
         assert isinstance(spec, LanguageSpec)
         return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
-        """Episode of a record in an opened scene, where PARTNR's gets places for its things.
+        """Return the episode of a record in an opened scene, where the things of PARTNR's episodes get places.
 
         Raises:
             InputError, SceneError: PARTNR's episode asks for what is not in the scene, or cannot be done in it.
@@ -105,7 +105,7 @@ class LanguageCodec(RearrangeCodec):
         return replace(super().episode(record, place), extra=record.extra)
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
-        """Episode of a recording, from the rules, starts, goals and propositions in its info.
+        """Return the episode of a recording, from the rules, starts, goals and propositions in its info.
 
         Raises:
             InputError: the recording lacks one of them, or it is malformed.
@@ -120,13 +120,13 @@ class LanguageCodec(RearrangeCodec):
         return replace(episode, extra=extra)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
+        """Return the info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
         extra = dict(episode.extra)
         stored = {name: extra.pop(name) for name in _STORED}
         return {**super().info(episode, policies), **stored, "extra": extra}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from that of rearrangement, from starts and goals, and from propositions, layout and states."""
+        """Return an identifier derived from that of rearrangement, starts, goals, propositions, layout and states."""
         assert isinstance(episode, RearrangeEpisode)
         what = msgspec.json.encode([episode.wording, [goal_record(t) for t in episode.targets], plain(episode.extra)])
         return uid_of(f"{super().uid(episode, policies)}:{what.decode()}")
@@ -143,7 +143,7 @@ class LanguageCodec(RearrangeCodec):
 
 
 def check_extra(extra: Mapping[str, Any], things: int) -> None:
-    """Check the propositions of an episode, and what is known of its things.
+    """Check the propositions of an episode, and the data about its things.
 
     Raises:
         InputError: they are malformed, or name what is not in the home.
@@ -166,11 +166,11 @@ class LanguageControl(SkillControl):
     """Control by skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
 
     def team(self, play: Any) -> Household:
-        """Agents who choose where things go."""
+        """Return agents who choose where things go."""
         return LanguageHousehold(play)
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        """Return the reason why a choice is infeasible now, as a sentence; None if it is feasible."""
         if isinstance(choice, Action) and isinstance(choice.command, Destination):
             why = play.team.spot_for(choice.target, choice.command)
             return sentence(why) if isinstance(why, str) else None
@@ -180,7 +180,7 @@ class LanguageControl(SkillControl):
 
 
 def why_not(play: Any, number: int, thing: int) -> str | None:
-    """Reason why an agent cannot handle a thing now, as a sentence; None if it can."""
+    """Return the reason why an agent cannot handle a thing now, as a sentence; None if it can."""
     state = play.world.state
     if play.episode.roster[number].kind != "human":
         return "It has no hand for water and switches."
@@ -193,10 +193,10 @@ def why_not(play: Any, number: int, thing: int) -> str | None:
 
 
 class LanguageHousehold(Household):
-    """Agents who also put things elsewhere than at the goals of the task."""
+    """Agents who can also put things at other places than the goals of the task."""
 
     def aim(self, number: int, action: Action) -> str:
-        """Give a thing a free spot at a destination as its goal, and tell it as an event."""
+        """Assign a free spot at a destination to a thing as its goal, and record an event."""
         if not isinstance(action.command, Destination):
             return super().aim(number, action)
         name, found = self.objects.names[action.target], self.spot_for(action.target, action.command)
@@ -261,7 +261,7 @@ def _later_goals(extra: Mapping[str, Any], thing: str) -> list[tuple[NDArray[np.
 
 
 def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Action:
-    """The choice by which a thing goes to another place: it takes no time, and ``nav_to_goal`` and ``place`` then go there.
+    """Return the choice of another place for a thing; it takes no time. ``nav_to_goal`` and ``place`` then go there.
 
     Args:
         things: Names of the things of the task, as `Objects.names` has them.
@@ -280,7 +280,7 @@ def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Act
 
 
 class Language(Rearrange):
-    """Carry out an instruction in words."""
+    """Task to carry out an instruction in words."""
 
     name = "language"
     Spec: ClassVar[type[Any]] = LanguageSpec
@@ -308,7 +308,7 @@ class Language(Rearrange):
         return task.starts, {"targets": task.targets, "wording": task.instruction, "extra": task.extra}
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Maker of an expert, or of a policy that stands still; None for other names."""
+        """Return the maker of an expert, or of a policy that stands still; None for other names."""
         del spec
         if name not in EXPERTS:
             return None

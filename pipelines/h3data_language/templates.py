@@ -1,4 +1,4 @@
-"""Templates of tasks in words: their wordings, and what each asks for in clauses.
+"""Templates of tasks in words: their wordings, and their requirements as clauses.
 
 A clause is a line of words: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p`` (any
 two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``floor a`` (on the
@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple, get_args
 
 Kind = Literal["free", "spatial", "temporal", "heterogeneous"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-"""Types of tasks, as in PARTNR: no constraint; near each other; in an order; with what only people can do."""
+"""Types of tasks, as in PARTNR: unconstrained; with things near each other; in an order; with actions that only people
+can do."""
 
 
 class Template(NamedTuple):
@@ -28,11 +29,11 @@ class Template(NamedTuple):
     relation: str = ""
     """Relation of the first two clauses: ``same`` or ``different`` piece of furniture."""
     by_name: bool = False
-    """True if it is sampled only where it is named: the sampled tasks of a set stay the same when templates are added."""
+    """True if it is sampled only by name: the sampled tasks of a set stay the same when templates are added."""
 
     @property
     def moves_twice(self) -> bool:
-        """True if the second clause says where the object of the first one goes afterwards."""
+        """True if the second clause moves the object of the first one again."""
         return self.relation == "twice"
 
 
@@ -199,7 +200,8 @@ TEMPLATES: tuple[Template, ...] = (
 )
 
 HANDLING = {"clean": ("clean", True), "fill": ("filled", True), "pour": ("filled", False), "power": ("powered", True)}
-"""State and value that each clause about states asks for. Only people can do it: robots have no hand for water and switches."""
+"""State and value that each clause about states requires. Only people can change them: robots have no hand for water
+and switches."""
 PREDICATES = {"clean": "is_clean", "fill": "is_filled", "pour": "is_empty", "power": "is_powered_on"}
 WASHABLE = (
     "mug",
@@ -220,7 +222,7 @@ WASHABLE = (
 FILLABLE = ("mug", "bowl", "bottle", "pot", "cup", "glass", "tumbler", "vase", "jug", "can", "bucket", "kettle")
 POWERED = ("phone", "laptop", "tablet", "radio", "lantern", "speaker", "camera", "clock", "lamp", "headphones", "mixer")
 AFFORDS = {"clean": WASHABLE, "fill": FILLABLE, "pour": FILLABLE, "power": POWERED}
-"""Ends of the names of kinds of things to which each can be done."""
+"""Ends of the names of the kinds of things on which each action is possible."""
 
 
 def affords(category: str, verb: str) -> bool:

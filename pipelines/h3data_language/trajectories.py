@@ -23,7 +23,7 @@ from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOS
 from h3data_language.partnr import states_of
 
 _RADIUS_M, _HEIGHT_M = 0.25, 1.4
-"""Agent for which the free floor is found, whose height is that of the home's floor."""
+"""Size of the agent for which the free floor is computed."""
 
 
 def entry_of(recording: Recording, entries: Sequence[FileEntry]) -> FileEntry:

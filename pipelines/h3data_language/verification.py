@@ -34,7 +34,7 @@ TRIES = 20
 
 
 class PlayedTask(NamedTuple):
-    """The result of playing one task with some agents."""
+    """Result of playing one task with some agents."""
 
     success: bool
     complete: float
@@ -52,13 +52,13 @@ def play_task(task: Any, episode: Any, policy: str = "language_expert") -> Playe
 
 
 def verify_task(task: Any, episode: Any) -> tuple[PlayedTask, PlayedTask]:
-    """Play an episode by its first person alone, and by all of its agents together."""
+    """Play an episode with its first person alone, and with all of its agents together."""
     alone = episode.only(kinds_of(episode.roster).index("human"))
     return play_task(task, alone), play_task(task, episode)
 
 
 class TaskHome(NamedTuple):
-    """The tasks of a run that are in one home."""
+    """Tasks of a run in one home."""
 
     name: str
     """Identifier of the home in its set, or its name."""
@@ -66,13 +66,13 @@ class TaskHome(NamedTuple):
     numbers: tuple[int, ...]
     """Numbers of the home's tasks in the run."""
     place: int
-    """Number of the home among all that the scenes name."""
+    """Number of the home among all homes of the run."""
     homes: int
-    """Number of homes that the scenes name."""
+    """Number of homes of the run."""
     seed_of: Callable[[int], int]
     """Seed of each of its episodes, by their index in the home."""
     skipped: tuple[int, ...] = ()
-    """Indexes of episodes that the set skips already."""
+    """Indexes of episodes that the set already skips."""
 
     def candidate(self, index: int) -> TaskCandidate:
         """Return the episode of an index."""
@@ -101,7 +101,7 @@ class TaskCandidate:
 
 
 class SkippedTask(NamedTuple):
-    """One episode that is no task."""
+    """Episode that is not a task."""
 
     home: str
     episode: int
@@ -122,20 +122,20 @@ class VerifiedTask(NamedTuple):
 
 
 class Verification(NamedTuple):
-    """The tasks of some homes, and the episodes that are none."""
+    """Tasks of some homes, and the episodes that are not tasks."""
 
     tasks: list[VerifiedTask]
     skipped: list[SkippedTask]
     failed: list[str]
-    """Episodes that raised an error, and why; they are played again when the job goes on."""
+    """Episodes that raised an error, with the error; they are played again when the job continues."""
     short: list[str]
-    """Homes with fewer tasks than numbers, and why."""
+    """Homes with fewer tasks than required, with the reason."""
     new: int
     """Number of episodes that were played now."""
 
 
 def tasks_in(scenes: str, *, episodes: int, seed: int) -> list[TaskHome]:
-    """Tasks as ``h3data generate language`` samples them, by home.
+    """Return the tasks that ``h3data generate language`` samples, by home.
 
     Raises:
         InputError: there are no such scenes.
@@ -279,7 +279,7 @@ def _tasks_of(
 
 
 def digest_of(tasks: Sequence[VerifiedTask]) -> str:
-    """SHA-256 of the identities of some tasks in the order of their numbers."""
+    """Return the SHA-256 of the identities of some tasks in the order of their numbers."""
     return hashlib.sha256("\n".join(t.uid for t in sorted(tasks)).encode()).hexdigest()
 
 

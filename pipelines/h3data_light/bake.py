@@ -1,4 +1,4 @@
-"""`lit_scene`: meshes and instances with the light of windows, sun and lamps in the colours of their vertices.
+"""Baking of the light of windows, sun and lamps into the vertex colours of meshes.
 
 Vertex colours reach every back end, and multiply with textures, without a kernel that knows about light (an atlas of
 light maps would need a second texture wherever there is one: floors, furniture, scanned homes). Moving things still need the
@@ -145,7 +145,7 @@ def bake(
     sources: LightSources,
     light: Light,
 ) -> Baked | None:
-    """Return the meshes of static instances with their light, and the light between them; None if there is none."""
+    """Return the meshes of static instances with their light, and the light field between them; None without light."""
     heap = heap_of(meshes, matrices) if meshes else None
     if heap is None or not len(heap.faces):
         return None

@@ -16,7 +16,7 @@ is the direction towards it and the half sides its size.
 WINDOW, LAMP, SUN = 0, 1, 2
 LAMP_RADIUS = 2.0
 SUN_SPREAD = 0.045
-"""Tangent of the sun's angular radius, larger than in reality: panes and the vertices' spacing blur its edge."""
+"""Tangent of the sun's angular radius, larger than in reality: the spacing of vertices blurs its edge."""
 MARKED = 128
 """Number of bits in `Probes.reach`: one for each of the first light sources, windows and lamps before suns."""
 SKY = (2.2, 2.6, 3.0)
@@ -27,7 +27,7 @@ GROUND = (0.9, 0.85, 0.75)
 
 @kernel_part()
 def sky_radiance(up):
-    """Radiance from outdoors in a direction with this y."""
+    """Return the radiance from outdoors in a direction with this y."""
     if up < 0:
         w = min(-up * 4.0, 1.0)
         return (
@@ -44,7 +44,7 @@ def sky_radiance(up):
 
 @kernel_part()
 def direct_light(distance, x, y, z, nx, ny, nz, emitters, low_bits, high_bits, side):
-    """Irradiance (r, g, b) of a surface point.
+    """Return the irradiance (r, g, b) of a surface point.
 
     The bits are those of the emitters that can matter here; ``side`` is the largest number of rays along each side of a
     window. There is one call of `march` for all kinds of light, because each takes a second to compile.

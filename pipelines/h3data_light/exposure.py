@@ -1,4 +1,4 @@
-"""Convert irradiance to displayed colours, by a curve that keeps dark corners readable and bright ones in range."""
+"""Conversion of irradiance to displayed colours, by a curve that keeps dark corners readable and bright ones in range."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from h3data.render.shade.shading import Light
 _MEAN = 0.56
 """Light on a surface of mean brightness, about that of the flat light."""
 _EXPONENT, _SHOULDER, _BRIGHTEST = 0.8, 1.05, 1.75
-"""Exponent of the curve that maps light to what is shown, where it bends, and its limit, in units of `_MEAN`."""
+"""Exponent of the curve that maps light to brightness in pictures, where it bends, and its limit, in units of
+`_MEAN`."""
 _TINT = 0.55
 """Share of the light's own colour; eyes and cameras adapt to the rest."""
 
@@ -33,7 +34,7 @@ def shown_light(irradiance: Any, mean: Any, xp: Any = np) -> Any:
 
 
 def flat_light(light: Light, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Irradiance by the flat light on surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
+    """Return the flat light on surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     sun, fill = (normals @ normalized(np.array(d)) for d in (light.sun_direction, light.fill_direction))
     out = (sky + ground) / 2 + (sky - ground) / 2 * normals[:, 1:2]

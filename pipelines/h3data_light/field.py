@@ -1,4 +1,4 @@
-"""`LightField`: direction and amount of light anywhere in a home. It lights moving things, which cast shadows in it.
+"""Light field of a home: direction and amount of light anywhere. It lights moving things, which cast shadows in it.
 
 Irradiance along six directions (an ambient cube) on a grid of half a metre; between its points, all is interpolated. The
 difference of opposite sides is the light vector (Gershun 1936), the integral of radiance times direction: it points to where
@@ -29,7 +29,7 @@ MOST = 0.85
 FROM_DISC = float(0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2)))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
 _UPWARD, _ABOVE_M = 0.9, 0.4
-"""Floors face up by this much; what they mirror is the light this far above them."""
+"""Least upward component of the normals of floors, and height above them of the light that they mirror."""
 _INDOORS = 0.2
 """Share of points under cover above which those in the open do not count."""
 _CORNERS = np.array(list(np.ndindex(2, 2, 2)))
@@ -43,7 +43,7 @@ class LightAt:
     direction: NDArray[np.float64]
     """Unit vector towards where most light comes from, shape [N, 3]; up where there is no light."""
     share: NDArray[np.float64]
-    """Share of the light that comes from there, 0..1, shape [N]."""
+    """Share of the light that comes from ``direction``, 0..1, shape [N]."""
     reach_m: NDArray[np.float64]
     """Distance to the first wall or floor in the opposite direction, shape [N] [m]."""
     irradiance: NDArray[np.float64]
@@ -52,7 +52,7 @@ class LightAt:
 
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """The grid. Arrays only, so that it is stored with the baked light (`store`)."""
+    """Light field as a grid of arrays, which are stored with the baked light (`store`)."""
 
     origin: NDArray[np.float64]
     """World position of the corner of the grid, shape [3] [m]."""
@@ -67,7 +67,7 @@ class LightField:
     """Mean of the flat light over all directions, linear RGB, shape [3]."""
 
     def cubes(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
+        """Return the irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
         return self._interpolated(np.asarray(points, np.float64))[0]
 
     def at(self, points: NDArray[np.floating]) -> LightAt:

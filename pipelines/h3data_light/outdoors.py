@@ -1,4 +1,4 @@
-"""Views through window panes: sky, hills, trees and a lawn, painted on them with the horizon at eye height.
+"""Views through window panes: sky, hills, trees and a lawn, painted on the panes with the horizon at eye height.
 
 A horizon is at the height of the eye wherever one stands, so a picture on the pane looks right from anywhere in a room
 as far as up and down goes; sideways it moves with the window.
@@ -17,9 +17,9 @@ from h3data.mesh.mesh_operations import face_texture_indices, flat_shaded
 from h3data.srgb import linear_to_bytes
 
 EYE_M = 1.55
-"""Height of the horizon above the lowest surface of a scene, as far as a window allows."""
+"""Height of the horizon above the lowest surface of a scene, if a window allows it."""
 _WIDE_M, _HIGH_M = 9.0, 4.5
-"""Width and height of the picture [m]; the horizon is in its middle."""
+"""Width and height of the picture [m], with the horizon in its middle."""
 _PIXELS = (512, 256)
 _PLANE_M = 0.02
 """Panes are within this distance of the middle plane of their window."""

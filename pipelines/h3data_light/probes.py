@@ -1,4 +1,4 @@
-"""Indirect light: probes on a grid gather what surfaces reflect, as irradiance along six directions (ambient cubes).
+"""Indirect light: probes on a grid collect the light that surfaces reflect, along six directions (ambient cubes).
 
 After "Dynamic Diffuse Global Illumination with Ray-Traced Irradiance Fields" (Majercik et al. 2019), with the visibility
 of each probe from each point: light does not leak through walls. Positions are in voxels.
@@ -16,7 +16,7 @@ from h3data_light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
 from h3data_light.voxels import GLASS, PROBE_VOXELS, march, sees
 
 RAYS = (96, 64)
-"""Rays of a probe for the first bounce of light and for the second."""
+"""Number of rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
 """Probes farther from all surfaces [voxels] light none."""
 _FAINT = 0.02
@@ -26,12 +26,12 @@ _ROTATIONS = 8
 
 
 class Probes(NamedTuple):
-    """Probes, one per block."""
+    """Probes of indirect light, one per block of voxels."""
 
     reach: NDArray[np.uint64]
     """Bits of the windows and lamps that matter in and around a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""
     place: NDArray[np.float32]
-    """Position of each, within its block and away from surfaces, shape [X', Y', Z', 3]."""
+    """Position of each probe, within its block and away from surfaces, shape [X', Y', Z', 3]."""
     usable: NDArray[np.bool_]
     """True if there is air in the block, and a surface near, shape [X', Y', Z']."""
     light: NDArray[np.float32]
@@ -39,7 +39,7 @@ class Probes(NamedTuple):
 
 
 def ray_directions(rays: int) -> NDArray[np.float32]:
-    """Spherical Fibonacci directions in several rotations about y, shape [8, rays, 3]."""
+    """Return spherical Fibonacci directions in several rotations about y, shape [8, rays, 3]."""
     k = np.arange(rays) + 0.5
     y = 1 - 2 * k / rays
     angle = k * np.pi * (3 - np.sqrt(5)) + np.arange(_ROTATIONS)[:, None] * (2 * np.pi * 0.61803399 * 1.37)
@@ -95,7 +95,7 @@ def find_faces(distance, count, points, normals, indoors):
 
 @kernel(error_model="numpy", boundscheck=False)
 def place_probes(distance, place, usable):
-    """Put each probe at the middle of its block, or where its block is widest if something is near the middle."""
+    """Place each probe at the middle of its block, or where its block is widest if the middle is obstructed."""
     n = PROBE_VOXELS
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
@@ -199,7 +199,7 @@ def _face(ax, ay, az, dx, dy, dz):
 
 @kernel(error_model="numpy", boundscheck=False)
 def blur(distance, place, usable, light, out, axis):
-    """Averages probes with those before and after them along an axis that they see, weights 1 2 1."""
+    """Average probes with their visible neighbours along an axis, with weights 1 2 1."""
     shape = usable.shape
     ax, ay, az = int(axis == 0), int(axis == 1), int(axis == 2)
     for x in range(shape[0]):

@@ -1,4 +1,4 @@
-"""Meshes of a scene in one heap of triangles, refined where light is not linear along an edge; and their light, smoothed.
+"""Refinement of the meshes of a scene where light is not linear along an edge, and their smoothed light.
 
 Whether an edge is cut depends on nothing but its ends, so both triangles at an edge agree and no cracks appear.
 """
@@ -27,23 +27,25 @@ _NEAR_M = 0.4
 _BRIGHTEST = 1.8
 """Brighter light looks much the same."""
 _UPWARD, _CONTACT_M = 0.7, 0.3
-"""Longer edges of surfaces that face up this much are cut where they run under something."""
+"""Least upward component of normals of surfaces on which edges longer than the second number are cut where they run
+under something."""
 _APART = 0.4
 """Edges whose middle is hidden are cut if their ends differ more."""
 _UNDER = 0.75
 """Light of what lies hidden under furniture, in units of that beside it."""
 _SMOOTH_M, _SMOOTHINGS = 0.22, 2
-"""Vertices take light from neighbours about this far, so often: shadows have soft edges rather than the mesh's."""
+"""Distance of neighbours from which vertices take light, and number of repetitions: shadows get soft edges rather than
+the mesh's."""
 _ROUNDS = 8
 _NO_FACES = np.zeros((0, 3), np.int64)
 
 LightAt = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
-"""Irradiance [n, 3] at positions, normals and inward directions [n, 3], NaN where unknown."""
+"""Function that returns irradiance [n, 3] at positions, normals and inward directions [n, 3], NaN where unknown."""
 
 
 @dataclass
 class Heap:
-    """Vertices of several meshes with what is interpolated along edges: rows ``x y z  nx ny nz  r g b  u v``, mesh frame."""
+    """Vertices of several meshes with the values interpolated along edges: rows ``x y z nx ny nz r g b u v``, mesh frame."""
 
     vertices: NDArray[np.float64]
     """Attributes of the vertices, shape [V, 11]."""

@@ -1,4 +1,4 @@
-"""Baked light on disk, by a key of all that it depends on, beside the other caches (`h3data.files.cache_folder`).
+"""Baked light on disk, by a key of all its inputs, beside the other caches (`h3data.files.cache_folder`).
 
 The key is a digest of the meshes, their poses and textures, the light sources, the flat light and `FORMAT`. Files get their
 names when they are whole, so processes may write at once or be killed. A broken file is made again.
@@ -27,9 +27,9 @@ from h3data_light.field import LightField
 log = logging.getLogger(__name__)
 
 FORMAT = 4
-"""Part of the key: raise it whenever the bake changes."""
+"""Version of the format, a part of the key: raise it whenever the bake changes."""
 ROOM_BYTES = 2e9
-"""The cache keeps the most recently used homes up to this size."""
+"""Size of the cache; the most recently used homes stay."""
 _FIELD = ("origin", "spacing_m", "cube", "reach_m", "mean", "flat")
 _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
 
@@ -38,11 +38,11 @@ class Baked(NamedTuple):
     """Baked light of a home."""
 
     meshes: list[Mesh]
-    """The static meshes with their light."""
+    """Static meshes with their light."""
     mirrors: list[NDArray[np.float32] | None]
     """Light that the vertices of glossy meshes mirror (`RenderScene`), each [V, 5]; None for dull ones."""
     field: LightField
-    """The light between them."""
+    """Light between the surfaces."""
 
 
 def cached(
@@ -53,7 +53,7 @@ def cached(
     light: Light,
     build: Callable[[], Baked | None],
 ) -> Baked | None:
-    """Return the baked light from the cache, else from ``build``, kept if the cache can be written."""
+    """Return the baked light from the cache, else from ``build``, which is cached if possible."""
     folder = cache_folder("light")
     if folder is None:
         return build()

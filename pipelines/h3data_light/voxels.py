@@ -20,7 +20,7 @@ MARGIN_M = 0.5
 PROBE_VOXELS = 5
 """Number of voxels along the side of a block; each block has one probe and one mean colour per axis."""
 GLASS = 255
-"""Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
+"""Value of voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
 _HOLLOW_M3 = 3.0
 """Smaller closed hollows are the inside of furniture and of walls: points of other surfaces in there are hidden."""
@@ -40,7 +40,7 @@ class Voxels(NamedTuple):
 def voxelise(
     triangles: NDArray[np.float64], colors: NDArray[np.float32], glass: NDArray[np.bool_], lamps: NDArray[np.float64]
 ) -> Voxels:
-    """Voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
+    """Return the voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
 
     Hollows inside furniture are filled, but none with one of the ``lamps`` [L, 3] in it.
     """

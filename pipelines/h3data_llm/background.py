@@ -1,4 +1,4 @@
-"""Language model beside a game that keeps time: a thread waits for its answers, and the game goes on meanwhile."""
+"""Language model in a live game: a thread waits for its answers while the game continues."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ RETRY_S = 5.0
 
 
 class Thinking(Exception):
-    """The answer to a request has not come yet."""
+    """Exception: the answer to a request has not arrived yet."""
 
 
 class PatientEndpoint:
-    """Endpoint that never waits: a request is asked for again until its answer is there."""
+    """Endpoint that never waits: a request is repeated until its answer has arrived."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         """Ask nothing yet."""
@@ -58,7 +58,7 @@ class PatientEndpoint:
 
 
 class BackgroundModel:
-    """Policy of a language model in a live game. While it thinks, what it does goes on; a robot with nothing to do stands."""
+    """Policy of a language model in a live game. While it thinks, its action continues; an idle robot stands."""
 
     def __init__(self, policy: Any) -> None:
         """Take over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
@@ -71,7 +71,7 @@ class BackgroundModel:
         self._retry_at, self.faults = 0.0, list[str]()
 
     def command(self, view: RearrangeView) -> Action | None:
-        """Return the choice for the next step; None: what the agent does goes on, or it has not decided yet. Never waits."""
+        """Return the choice for the next step; None: the action continues, or nothing is decided yet. Never waits."""
         if self._view is None:
             last = self._ended
             if self._action is not None and last is None:
@@ -97,15 +97,15 @@ class BackgroundModel:
         return action
 
     def after(self, spans: list[Any]) -> None:
-        """Take note of the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
+        """Handle the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
         own = [span for span in spans if span.reason != "commanded"]
         if self._action is not None and self._ended is None and own and own[0].name == self._action.skill:
             self._ended = SkillResult(own[0].outcome, own[0].reason)
 
     def recorded_info(self) -> dict[str, Any]:
-        """Recorded facts of the policy, with the faults of the endpoint."""
+        """Return the recorded facts of the policy, with the faults of the endpoint."""
         (found,) = self._policy.recorded_info()["llm"]
         return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
 
     def close(self) -> None:
-        """End nothing: a thread that waits for an answer ends with it."""
+        """Do nothing: a thread that waits for an answer ends with it."""

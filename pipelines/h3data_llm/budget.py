@@ -1,4 +1,4 @@
-"""Budget of a whole job: all of its processes, and jobs that name the same file, spend it together.
+"""Budget of a whole job, shared by all of its processes and by jobs that name the same file.
 
 The user writes a TOML file with ``tokens``, ``calls`` or both, and names it in the address of the model. Each answer adds a
 line with its tokens to the file of the same name that ends in ``.spent``. Appending a short line is one write, so that no
@@ -21,7 +21,7 @@ _AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class BudgetSpentError(LanguageModelError, JobStopError):
-    """The budget of a job is used up: nothing is asked any more, and no further episode is begun."""
+    """The budget of a job is used up: there are no more requests, and no further episode begins."""
 
 
 class _Limits(msgspec.Struct, forbid_unknown_fields=True):
@@ -30,7 +30,7 @@ class _Limits(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class JobBudget:
-    """Limits of a job, and what it has spent."""
+    """Limits of a job, and the part of them that is used up."""
 
     def __init__(self, name: str) -> None:
         """Read the limits.
@@ -74,7 +74,7 @@ class JobBudget:
         return {"tokens": sum(map(int, lines)), "calls": len(lines)}
 
     def check(self) -> None:
-        """Check that something is left.
+        """Raise an error if nothing is left of the budget.
 
         Raises:
             BudgetSpentError: the tokens or calls are used up.
@@ -89,6 +89,6 @@ class JobBudget:
                 )
 
     def add(self, tokens: int) -> None:
-        """Take down the tokens of one answer."""
+        """Add the tokens of one answer."""
         with self.spent_file.open("ab", buffering=0) as file:
             os.write(file.fileno(), b"%d\n" % tokens)

@@ -1,4 +1,4 @@
-"""``h3data llm show`` and ``h3data llm again``."""
+"""Commands ``h3data llm show`` and ``h3data llm again``."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _told(use: ModelUse) -> str:
 
 @dataclass(frozen=True)
 class LlmAgain:
-    """Carry out the recorded answers of language models once more, by today's prompts and parser and without an endpoint.
+    """Carry out the recorded answers of language models again, with the present prompts and parser and without an endpoint.
 
     Says whether the requests would be the same today, whether the answers mean the same, and from which step on the
     episode differs. The exit code is 1 if anything does.

@@ -18,7 +18,7 @@ from h3data.errors import H3DataError, InputError, suggest
 KEY_VARIABLE = "H3DATA_LLM_KEY"
 """Environment variable with the key of the endpoint; it is never recorded."""
 MOST_BYTES = 256 * 1024
-"""Answers are at most so large."""
+"""Largest size of an answer [bytes]."""
 CONNECT_S = 5.0
 """Time within which an endpoint accepts a connection when a job is checked [s]."""
 MODES = ("tools", "text")
@@ -27,31 +27,31 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """A chat endpoint is gone or late, or answers with something that means nothing, or a budget is used up."""
+    """A chat endpoint is gone or late, or its answers are meaningless, or a budget is used up."""
 
 
 class Address(NamedTuple):
     """Address of a chat endpoint with the options of an agent, such as ``llm:http://127.0.0.1:8000/v1?model=NAME``."""
 
     url: str
-    """Scheme, host, port and path alone."""
+    """URL with scheme, host, port and path alone."""
     model: str
     mode: str = "tools"
-    """``tools``: answers are tool calls; ``text``: they end with a line ``Action: NAME[ARGUMENTS]``."""
+    """Form of answers: ``tools``: tool calls; ``text``: a last line ``Action: NAME[ARGUMENTS]``."""
     plans: int = 50
-    """Number of decisions in an episode; after them the agent waits."""
+    """Largest number of decisions in an episode; then the agent waits."""
     calls: int = 200
-    """Number of requests in an episode; one more ends it."""
+    """Largest number of requests in an episode; one more ends it."""
     tokens: int = 1_000_000
-    """Number of tokens in an episode, in and out, as the endpoint counts them; more end it."""
+    """Largest number of tokens in an episode, in and out, as the endpoint counts them; more end it."""
     timeout: int = 60
-    """Time for one answer [s]."""
+    """Longest time for one answer [s]."""
     retries: int = 2
     """Number of further attempts if the endpoint is gone, late or busy."""
     history: int = 10
     """Number of earlier decisions in a request."""
     budget: str = ""
-    """File with the budget of the whole job (`h3data_llm.budget`); empty: it has none."""
+    """File with the budget of the whole job (`h3data_llm.budget`); empty: no budget."""
 
     @classmethod
     def of(cls, text: str) -> Address:
@@ -113,7 +113,7 @@ class Reply(NamedTuple):
     """An answer of a chat endpoint."""
 
     message: Mapping[str, Any]
-    """``content`` and ``tool_calls`` of the first choice; empty if there is none."""
+    """Members ``content`` and ``tool_calls`` of the first choice; empty if there is none."""
     model: str = ""
     """Name of the model as the endpoint states it."""
     tokens: tuple[int, int] = (0, 0)
@@ -121,7 +121,7 @@ class Reply(NamedTuple):
 
 
 class Endpoint(Protocol):
-    """Something that answers chats."""
+    """Protocol of an endpoint that answers chat requests."""
 
     def ask(self, body: bytes) -> Reply:
         """Return the answer to the body of a request.
@@ -152,7 +152,7 @@ class HttpEndpoint:
             )
 
     def check(self) -> None:
-        """Check that somebody listens at the address.
+        """Check that a server listens at the address.
 
         Raises:
             LanguageModelError: nobody does.

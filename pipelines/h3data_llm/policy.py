@@ -22,7 +22,7 @@ from h3data_llm.world_text import WorldText
 from sim_kinematic.motion.state import NOBODY
 
 FAULTS = 3
-"""Number of answers in a row that mean nothing after which an episode ends."""
+"""Number of consecutive meaningless answers after which an episode ends."""
 MOST_ANSWER_TOKENS = 600
 """Number of tokens that an answer may have."""
 RULES = (
@@ -51,7 +51,7 @@ class Decision(NamedTuple):
     model: str
     """Name of the model as the endpoint states it."""
     result: str = ""
-    """Reason why the answer means nothing; empty if it was carried out."""
+    """Reason why the answer is meaningless; empty if it was carried out."""
 
 
 def language_model(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
@@ -88,12 +88,12 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
 
 
 class LanguageModelPolicy:
-    """Asks a language model for the next piece of work of an agent whenever the last one has ended."""
+    """Policy that asks a language model for an agent's next piece of work whenever the last one has ended."""
 
     is_remote = True
-    """Constant True: what is recorded is repeated without asking the language model."""
+    """Constant True: a replay repeats the recorded decisions without asking the language model."""
     interrupts_every = 3
-    """Number of steps from one question whether it stops to the next."""
+    """Number of steps between two checks for a reason to stop."""
 
     def __init__(self, where: Address, endpoint: Endpoint, task: Any, episode: Any, number: int) -> None:
         """Prepare for an episode; nothing is asked yet.
@@ -146,7 +146,7 @@ class LanguageModelPolicy:
 
     # --- decisions ----------------------------------------------------------------------------------------------------
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present work, or of that which the language model chooses now.
+        """Return the next skill of the present work, or of the work that the language model chooses now.
 
         Raises:
             LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up; if it is
@@ -167,7 +167,7 @@ class LanguageModelPolicy:
             return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to stop: a message while waiting, a thing found in a search, or one that somebody else has taken."""
+        """Return the reason to stop: a message while waiting, a thing found in a search, or one that somebody else took."""
         action, reason = view.action, self._worker.reason
         if reason == "message" and self._worker.heard(view) > self._heard:
             return "message"
@@ -213,7 +213,7 @@ class LanguageModelPolicy:
         self._past.append([said, heard])
 
     def request(self, view: RearrangeView) -> bytes:
-        """Body of the request for the next decision."""
+        """Return the body of the request for the next decision."""
         handled = sorted(self._worker.handled)
         now = self._text.state(view, [f"You have handled: {', '.join(handled)}."] if handled else [])
         left = f"You may choose {self.where.plans - self._plans} more times."

@@ -1,4 +1,4 @@
-"""Recorded answers of language models: shown, and carried out again by today's prompts and parser."""
+"""Recorded answers of language models: listed, and carried out again with the present prompts and parser."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from sim_kinematic.tasks.resume import resume, task_of
 
 
 class RecordedModel(NamedTuple):
-    """A language model as a recording has it."""
+    """A language model, described in a recording."""
 
     policy: str
     agent: int
     where: Address
-    """Options, without an address."""
+    """Options of the model, without its address."""
     decisions: tuple[Decision, ...]
 
 
@@ -83,21 +83,21 @@ class RecordedEndpoint:
 
 
 class Replayed(NamedTuple):
-    """Comparison of recorded answers with what they mean today."""
+    """Comparison of recorded answers with their present meaning."""
 
     model: RecordedModel
     request: int
-    """Number of the first request that is another one today; -1: none is."""
+    """Number of the first request that differs today; -1: none."""
     meaning: int
     """Number of the first answer that is understood today and was not then, or the other way round; -1: none."""
     step: int
     """First step that differs; -1: none does."""
     fault: str = ""
-    """Sentence about why the episode could not be played to its end."""
+    """Reason, as a sentence, why the episode could not be played to its end."""
 
 
 def played_again(recording: Recording) -> list[Replayed]:
-    """Carry out the recorded answers by today's prompts and parser, without an endpoint; other agents decide anew.
+    """Carry out the recorded answers with the present prompts and parser, without an endpoint; other agents decide anew.
 
     Raises:
         InputError: no language model has played, or the recording cannot be simulated again.

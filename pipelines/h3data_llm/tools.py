@@ -1,4 +1,4 @@
-"""Tools by which a language model says what its agent does next: their schemas, and calls in answers of the model."""
+"""Tools with which a language model chooses its agent's actions: their schemas, and calls in answers of the model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim_kinematic.agents.skills import INSIDE
 
 LONGEST_WAIT_S = 60
 MOST_CONTENT = 4000
-"""Number of characters of an answer's text, at most; the rest is cut off."""
+"""Largest number of characters of an answer's text; the rest is cut off."""
 _ACTION = re.compile(r"^[ \t]*Action:[ \t]*(\w+)[ \t]*\[(.*)\][ \t.]*$", re.MULTILINE)
 
 
@@ -26,13 +26,14 @@ class Parameter(NamedTuple):
 
     name: str
     kind: str
-    """``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or ``how``."""
+    """Kind of value: ``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or
+    ``how``."""
     about: str
     optional: bool = False
 
 
 class Tool(NamedTuple):
-    """Something that a language model can have its agent do."""
+    """Action that a language model can choose for its agent."""
 
     name: str
     about: str
@@ -40,7 +41,7 @@ class Tool(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A tool with its arguments, which have been checked."""
+    """A tool with checked arguments."""
 
     tool: str
     arguments: Mapping[str, Any]
@@ -50,7 +51,7 @@ class Call(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names that arguments may have."""
+    """Names that arguments of tools may have."""
 
     things: tuple[str, ...]
     places: tuple[str, ...] = ()
@@ -62,7 +63,7 @@ class Names(NamedTuple):
     """The other agents."""
 
     def of(self, kind: str) -> tuple[str, ...]:
-        """Return names of a kind of parameter; none for kinds that are no names."""
+        """Return the names for a kind of parameter; none for kinds without names."""
         known = {
             "thing": self.things,
             "place": self.places,
@@ -128,7 +129,7 @@ def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> t
 
 
 def schemas_of(tools: Sequence[Tool], names: Names) -> list[dict[str, Any]]:
-    """Tools in the form in which chats take them; names of furniture are left to the text about the home."""
+    """Return the tools in the form in which chats take them; names of furniture are left to the text about the home."""
     return [
         {
             "type": "function",
@@ -154,7 +155,7 @@ def _schema(parameter: Parameter, names: Names) -> dict[str, Any]:
 
 
 def lines_of(tools: Sequence[Tool]) -> str:
-    """Tools as text, for models without tool calls."""
+    """Return the tools as text, for models without tool calls."""
     lines = []
     for tool in tools:
         shown = ", ".join(f"{p.name}{'?' if p.optional else ''}" for p in tool.parameters)

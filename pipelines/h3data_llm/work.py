@@ -1,4 +1,4 @@
-"""Work that a call of a tool means: skills, one after the other, and a sentence about how it ended.
+"""Execution of a tool's call: skills, one after the other, and a sentence about the result.
 
 Each piece is a generator: it yields an `Action`, is sent the view after it, and returns the sentence.
 """
@@ -27,11 +27,11 @@ TRIES = 3
 SPOTS = 5
 """Number of attempts to find a free spot at a place."""
 LONG = 300
-"""Number of steps of one ``wait`` of an agent that has nothing to do."""
+"""Number of steps of one ``wait`` of an agent without work."""
 
 
 class Worker:
-    """Carries out calls for one agent."""
+    """Executor of tool calls for one agent."""
 
     def __init__(self, text: WorldText, number: int, uses: list[tuple[str, bool]]) -> None:
         """Prepare for an episode.
@@ -204,7 +204,7 @@ class Worker:
         return "Somebody has said something." if self.heard(view) > heard else "You have waited."
 
     def rest(self, view: RearrangeView, *, for_good: bool = False) -> Work:
-        """Wait until somebody says something, or ``for_good``."""
+        """Wait until another agent sends a message, or ``for_good``."""
         heard, steps = self.heard(view), LONG
         while for_good or self.heard(view) <= heard:
             self.reason = "" if for_good else "message"

@@ -17,9 +17,9 @@ from sim_kinematic.agents.skills import INSIDE
 from sim_kinematic.motion.state import NOBODY
 
 MESSAGES = 8
-"""Number of the latest messages that a language model is shown."""
+"""Number of the latest messages in a request to a language model."""
 OVER_M = 0.05
-"""A thing whose origin is this far below a surface still lies on it [m]."""
+"""Largest distance of a thing's origin below a surface on which it lies [m]."""
 
 
 class WorldText:
@@ -63,7 +63,7 @@ class WorldText:
         return "\n".join(lines)
 
     def state(self, view: RearrangeView, notes: Iterable[str] = ()) -> str:
-        """Everything that the agent knows now, with ``notes`` of its own."""
+        """Return everything that the agent knows now, with ``notes`` of its own."""
         held = [name for name, by in zip(self.names.things, view.held_by, strict=True) if by == self._number]
         room = self._room_of((view.xz[0], 0.0, view.xz[1]))
         hand = f"holds {held[0]}" if held else "is empty"
@@ -87,7 +87,7 @@ class WorldText:
         return f"{where}, in {room}" if room else where
 
     def surface_of(self, point: Any) -> tuple[str, bool]:
-        """Furniture on which a point [3] of the world lies, empty for none, and whether it is behind a door or in a drawer."""
+        """Return the furniture on which a world point [3] lies ("" for none), and if it is behind a door or in a drawer."""
         x, y, z = (float(value) for value in point)
         best, found = np.inf, ("", False)
         for name, box in self._layout.furniture.items():

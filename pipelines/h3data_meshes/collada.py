@@ -1,4 +1,4 @@
-"""Reads Collada files (1.4, 1.5): the scene graph, triangles and polygons with holes, colours and textures.
+"""Reading of Collada files (1.4, 1.5): the scene graph, triangles and polygons with holes, colours and textures.
 
 What is shown is unit x up_axis x nodes x vertices, as Gazebo and Bullet place it: metres, +Z up whatever the file's own
 ``up_axis`` is, the frame of robots.
@@ -43,7 +43,7 @@ _PRIMITIVES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColladaPart:
-    """The triangles of one primitive, every corner on its own, where one node puts it."""
+    """Triangles of one primitive with separate corners, as one node places them."""
 
     mesh: Mesh
     """Mesh in the geometry's own frame and units."""

@@ -1,4 +1,4 @@
-"""Options of images in MTL files, which trimesh takes for a part of the image's name."""
+"""Options of images in MTL files, which trimesh mistakes for a part of the image's name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UV_KEY = "h3data_uv"
 
 
 def mtl_with_plain_names(data: bytes) -> bytes:
-    """Return an MTL file's bytes with plain names after ``map_Kd``: its options are taken off.
+    """Return an MTL file's bytes with plain names after ``map_Kd``, without its options.
 
     ``-s`` and ``-o``, the scale and the offset of the image, become a line that `material_uv` reads again.
     """
@@ -54,7 +54,7 @@ def _plain(key: bytes, rest: str) -> bytes:
 
 
 def material_uv(material: Any, uv: Array) -> Array:
-    """Texture coordinates [V, 2] in the image that a material of trimesh repeats and moves."""
+    """Return texture coordinates [V, 2] in the image that a material of trimesh repeats and moves."""
     numbers = getattr(material, "kwargs", {}).get(_UV_KEY)
     if numbers is None:
         return uv

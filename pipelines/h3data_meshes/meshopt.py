@@ -1,4 +1,4 @@
-"""Decodes buffer views of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
+"""Decoding of buffer views of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
 
 Python has no maintained decoder (meshoptimizer's bindings are an alpha that needs a C++ compiler), and gltfpack's files are
 common. The bit streams are read by compiled kernels that check every byte they ask for; the filters are plain NumPy.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 BYTES_MAX = 1 << 30
-"""A view that claims to unpack to more is refused before anything is allocated."""
+"""Largest unpacked size of a view; larger ones are refused before anything is allocated."""
 _ATTRIBUTES, _TRIANGLES, _INDICES = 0xA0, 0xE1, 0xD1
 """First byte of a stream of each mode."""
 _BLOCK_BYTES, _BLOCK_ELEMENTS, _GROUP = 8192, 256, 16

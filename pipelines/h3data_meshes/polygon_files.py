@@ -1,4 +1,4 @@
-"""Rewrites OBJ and PLY files whose polygons are not all triangles, so that trimesh reads triangles of the same area.
+"""Rewriting of OBJ and PLY files whose polygons are not all triangles, so that trimesh reads triangles of the same area.
 
 Files of triangles only come back as they are. What cannot be understood comes back as it is too: trimesh then says why.
 """

@@ -1,4 +1,4 @@
-"""Cuts polygons of any shape into triangles: concave ones, with holes, self-touching, not quite flat."""
+"""Triangulation of polygons of any shape: concave ones, with holes, self-touching, not quite flat."""
 
 from __future__ import annotations
 

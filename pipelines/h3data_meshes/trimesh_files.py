@@ -1,4 +1,4 @@
-"""Reads OBJ, PLY and STL files through trimesh: colours of vertices, faces and materials, and textures."""
+"""Reading of OBJ, PLY and STL files through trimesh: colours of vertices, faces and materials, and textures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
 
 
 class FilesBeside:
-    """Gives readers the files that a mesh file names; keeps the names of those that lie outside or are missing."""
+    """Resolver of the files that a mesh file names; it lists those that are outside its folder or missing."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -32,9 +32,9 @@ LAYOUTS: dict[int, tuple[tuple[int, int], ...]] = {
     24: tuple((j, j) for j in _BODY),  # joints 22 and 23 are SMPL's hands, which ours has no place for
     22: tuple((j, j) for j in _BODY),
 }
-"""Number of joints in a file: which of them is which of ours."""
+"""Indices of the joints of a file in SMPL-X order, by the number of joints in the file."""
 MAX_ANGLE_RAD = 8 * np.pi
-"""A rotation vector longer than this is not in radians."""
+"""Length above which a rotation vector is not in radians."""
 
 Up = Literal["z", "y"]
 

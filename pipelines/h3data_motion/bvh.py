@@ -42,21 +42,21 @@ class Bvh:
     """A parsed file: angles in degrees, lengths in its own units."""
 
     joints: tuple[BvhJoint, ...]
-    """Parents before children."""
+    """Joints, parents before children."""
     values: Array
     """Channel values, joint by joint, shape [T, C]."""
     frame_s: float
-    """Seconds per frame."""
+    """Duration of a frame [s]."""
 
     def rest_places(self) -> Array:
-        """Joint places without any rotation, shape [J, 3]; the root at its offset."""
+        """Return joint places without any rotation, shape [J, 3]; the root at its offset."""
         places = np.zeros((len(self.joints), 3))
         for k, joint in enumerate(self.joints):
             places[k] = np.array(joint.offset) + (places[joint.parent] if joint.parent >= 0 else 0)
         return places
 
     def forward_kinematics(self) -> tuple[Array, Array]:
-        """World rotations xyzw [T, J, 4] and places [T, J, 3] of all joints, in the axes and units of the file.
+        """Return the world rotations xyzw [T, J, 4] and places [T, J, 3] of all joints, in the axes and units of the file.
 
         A position channel stands for that part of the joint's offset, as exporters of today write it.
         """
@@ -86,7 +86,7 @@ def read_bvh_file(path: str | Path) -> Bvh:
     """Parse a BVH file.
 
     Raises:
-        FormatError: it is none, or damaged; the message says in which line.
+        FormatError: the text is not a BVH file, or is damaged; the message states the line.
         InputError: there is no such file.
     """
     path = Path(path)

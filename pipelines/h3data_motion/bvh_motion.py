@@ -1,4 +1,4 @@
-"""BVH motion on our skeleton: joints by name, rest poses by rotation (h3data docs motion).
+"""BVH motion on the SMPL-X skeleton: joints by name, rest poses by rotation (h3data docs motion).
 
 A file's joint j has the world rotation G_j, ours H_j = G_j A_j, where A_j turns our T-pose into the file's pose without
 rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q A_j where no joint lies between.
@@ -68,30 +68,30 @@ BONES: dict[str, tuple[str, tuple[float, float, float]]] = {
         ("elbow", "wrist", "aside"),
     )
 }
-"""Limbs that are straight in a T-pose: from a joint to which other, in which direction."""
+"""Limbs that are straight in a T-pose: joint, next joint, and direction."""
 UNITS_M = (1.0, 0.01, 0.0254, 0.0564444, 0.001)
-"""Metre, centimetre, inch, CMU's unit, millimetre."""
+"""Units of length [m]: metre, centimetre, inch, CMU's unit, millimetre."""
 LEG_M = (0.5, 1.2)
-"""A leg (hip to ankle) of a person."""
+"""Least and greatest length of a person's leg (hip to ankle) [m]."""
 TILT_DEG, BEND_DEG = 30.0, 100.0
 """Largest angles of a rest pose from an upright stance, and of its limbs from a T-pose [deg]."""
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table of which joint of a BVH file is which of ours, in TOML.
+    """Table of joint names of BVH files and the corresponding SMPL-X joints, in TOML.
 
     ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for right, Right and r.
     """
 
     joints: dict[str, str]
-    """Our name: theirs, of which only letters and digits count. Those of `REQUIRED` must be there."""
+    """Names of joints in the file by SMPL-X name; only letters and digits count. Those of `REQUIRED` must be there."""
     axes: dict[str, str] = {}
-    """Our name: where x, y and z of the joint's frame point in a T-pose, as "up forward left"; for files whose pose without
-    rotations is no person."""
+    """Directions of x, y and z of the joint's frame in a T-pose by SMPL-X name, as "up forward left"; for files whose
+    pose without rotations is no person."""
     unit_m: float | None = None
     """Metres per unit; guessed from the length of the legs if it does not fit or is not given."""
     feet_follow_shanks: bool = False
-    """True if the feet are turned as the shanks are in the rest pose, and not flat."""
+    """True if the feet are turned as the shanks are in the rest pose; False if they are flat."""
     foot_slope_deg: float = 0.0
     """Angle by which the x axis of a flat foot points down, with ``axes`` [deg]."""
 

@@ -36,12 +36,12 @@ class Motion:
 
     name: str
     fps: float
-    """Frames per second."""
+    """Number of frames per second."""
     quats: Array
     """Local joint rotations xyzw, SMPL-X order, shape [T, 55, 4], sign-continuous; the pelvis' is in the start frame
     (its own axes: +Z forward, +Y up, +X left)."""
     pelvis: Array
-    """Pelvis joint in the start frame, shape [T, 3] [m]."""
+    """Position of the pelvis joint in the start frame, shape [T, 3] [m]."""
     leg_m: float | None = None
     """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
     body: str = ""
@@ -69,7 +69,9 @@ class Motion:
         return float(np.linalg.norm(np.diff(self.pelvis[::step, ::2], axis=0), axis=1).sum())
 
     def pose(self, time_s: ArrayLike) -> tuple[Array, Array]:
-        """Local rotations [N, 55, 4] and pelvis places [N, 3] at times [N] [s]; before and after, the end poses hold.
+        """Return local rotations [N, 55, 4] and pelvis places [N, 3] at times [N] [s].
+
+        Before and after the motion, its end poses hold.
 
         Between frames rotations are blended along the shorter arc.
         """
@@ -85,7 +87,7 @@ class Motion:
         return normalized(mixed), self.pelvis[lower] + share[:, None] * (self.pelvis[upper] - self.pelvis[lower])
 
     def resampled(self, fps: float) -> Motion:
-        """Motion with another number of frames per second."""
+        """Return the motion with another number of frames per second."""
         if not 0 < fps < 1e4:
             raise InputError(f"Expected frames per second above 0 and below 10000, got {fps}.", code="H3-BODY-041")
         quats, pelvis = self.pose(np.arange(int(self.duration_s * fps + 1e-6) + 1) / fps)
@@ -127,7 +129,7 @@ def _faults(motion: Motion) -> list[str]:
 
 
 def in_start_frame(motion: Motion) -> Motion:
-    """Motion turned and shifted along the floor into its start frame, with rotations of continuous sign."""
+    """Turn and shift a motion along the floor into its start frame, with rotations of continuous sign."""
     heading = float(pelvis_heading(motion.quats[:1, 0])[0])
     turn = quat_from_heading(-heading)
     origin = motion.pelvis[0] * (1, 0, 1)
@@ -146,7 +148,7 @@ def pelvis_heading(quats: Array) -> Array:
 
 
 def turned_frames(turn: Array, quats: Array, pelvis: Array) -> tuple[Array, Array]:
-    """Pelvis rotations and places of frames in a world that is turned by the quaternion ``turn`` [4]."""
+    """Return pelvis rotations and places of frames in a world that is turned by the quaternion ``turn`` [4]."""
     out = np.array(quats, np.float64)
     out[:, 0] = quat_multiply(turn, out[:, 0])
     return out, quat_rotate(turn, pelvis)

@@ -1,4 +1,4 @@
-"""``h3data motion``: imports motion capture (AMASS, Habitat, BVH) and shows it on our bodies."""
+"""Commands ``h3data motion``: import of motion capture (AMASS, Habitat, BVH), and pictures of it on our bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Feet that stand still: where they touch the floor is found by height and speed, and legs are solved anew to keep them.
+"""Planting of feet: contact with the floor is detected by height and speed, and legs are solved anew.
 
 A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; the
 rotations of the foot stay, so its path follows: the lowest point rests while it is the lowest. Before and after, the
@@ -27,14 +27,14 @@ from h3data.geometry import (
 )
 
 LOW_M, SLOW_MPS = 0.04, 0.25
-"""A point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is below 1: on the floor it may slide, as it does
-on a body of other proportions; in the air it counts only if it rests."""
+"""Height and speed that decide contact: a point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is
+below 1. On the floor it may slide, as it does on a body of other proportions; in the air it counts only if it rests."""
 SPEED_S = 1 / 60
 """Time before and after over which speeds are measured; the smaller one counts [s]."""
 GAP_S, STANCE_S = 0.06, 0.10
 """Longest interruption of a stance that is ignored, and shortest stance that counts [s]."""
 SLIDE_M = 0.20
-"""A foot that slides further than this while it touches means it; it is left alone."""
+"""Distance above which a slide of a touching foot is intended and left unchanged [m]."""
 SINK_S = 0.12
 """Time over which the pelvis is lowered towards feet out of reach [s]."""
 
@@ -44,7 +44,7 @@ class Contacts:
     """Contacts of soles with the floor."""
 
     touching: NDArray[np.bool_]
-    """Shape [T, 2]: left, right."""
+    """True if the left or right foot touches the floor, shape [T, 2]."""
     slide_m: Array
     """Distance by which the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
 
@@ -187,7 +187,7 @@ def _shortest_turn(a: Array, b: Array) -> Array:
 
 
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
-    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
+    """Return frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of both legs, in the frame of ``pelvis`` [T, 3].
 
     As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
     """

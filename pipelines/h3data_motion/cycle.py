@@ -1,4 +1,4 @@
-"""Clip that goes round from a free motion: the best loop is found, straightened, closed, and its feet planted."""
+"""Cyclic clips from a free motion: the best loop is found, straightened, closed, and its feet planted."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22
-"""Joints that are compared; fingers and face say nothing about a cycle."""
+"""Joints that are compared: all but fingers and face."""
 VELOCITY_S = 0.15
-"""A difference in velocity of 1 m/s counts as this many metres of distance."""
+"""Weight of a difference in velocity: 1 m/s counts as this many metres of distance [s]."""
 SEARCH_FPS = 60.0
 ALIKE = 0.1
-"""A shorter loop is taken if it closes worse than the best one by up to this share of what poses differ: one cycle, not two."""
+"""Share of the variation of poses by which a shorter loop may close worse than the best one: one cycle is preferred to
+two."""
 WALKS_M, TURNS_RAD = 0.15, np.radians(20.0)
 """Distance per cycle above which a clip is played by distance, and turn per cycle above which it is played by the turn."""
 
@@ -97,7 +98,7 @@ def _features(motion: Motion, body: Humanoid) -> Array:
 
 
 def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Clip:
-    """Return one cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
+    """Return one cycle of a motion as a clip without a seam that ``body`` can play.
 
     The best loop (`find_loop`) is straightened (its net turn is taken out evenly), what is left between its end and its
     start is spread over the cycle, and feet are planted round the seam. A cycle that gets anywhere is played by distance:

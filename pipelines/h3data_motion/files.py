@@ -1,4 +1,4 @@
-"""Motion files of every kind that is read, and our own: one npz without pickle."""
+"""Motion files of all supported kinds, and our own: one npz without pickle."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ class ReadOptions:
     """Facts that a motion file may not contain."""
 
     up: Up = "z"
-    """AMASS: axis of the file's world that points up."""
+    """Axis of an AMASS file's world that points up."""
     fps: float | None = None
-    """AMASS: frames per second, for files that do not say."""
+    """Frames per second of AMASS files that do not state them."""
     names: str | Path | None = None
-    """BVH: table of joint names, built-in or TOML; None takes the built-in one that fits."""
+    """Table of joint names for BVH, built-in or TOML; None takes the built-in one that fits."""
     unit_m: float | None = None
-    """BVH: metres per unit; None guesses it from the legs."""
+    """Metres per unit of BVH files; None guesses it from the legs."""
     source: str = ""
-    """Origin and licence, kept with the motion."""
+    """Origin and licence, stored with the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionReader:
-    """Reads motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
+    """Reader of motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
 
     fits: Callable[[bytes, Sequence[str]], bool]
     """Function that returns whether a file is of this kind, by its first 256 bytes and, of an npz, the names of its arrays."""
     read: Callable[[Path, ReadOptions], Motion]
-    """The motion in a file."""
+    """Function that reads the motion in a file."""
     suffixes: tuple[str, ...]
     """Endings of such files, in lower case: `h3data motion import` collects them from folders."""
 
 
 def motion_kind(path: str | Path) -> str:
-    """Format of a motion file, detected by its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
+    """Return the format of a motion file, from its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
 
     Raises:
         FormatError: it holds no motion that is read; the message says what it looks like.
@@ -201,6 +201,6 @@ def _readers(path: tuple[str, ...]) -> dict[str, MotionReader]:
 
 
 def motion_suffixes() -> tuple[str, ...]:
-    """Endings of the motion files that can be read."""
+    """Return the endings of the motion files that can be read."""
     readers = _readers(tuple(sys.path)).values()
     return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))

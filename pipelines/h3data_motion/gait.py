@@ -1,4 +1,4 @@
-"""Walks from imported motion: a captured cycle is taken apart into the parts of a gait, and scaled to any speed.
+"""Gaits from imported motion: a captured cycle is decomposed into the parts of a gait, and scaled to any speed.
 
 Pelvis, trunk, arms and head are as captured. Of the feet, which may slide or stand a little in the floor, only their curves
 are taken, as means of left and right: how they pitch, where they strike, and how they fly between. They roll on the floor
@@ -27,18 +27,18 @@ SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
 """Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
-"""Phases at which the right foot may strike: beyond it the right step is no step."""
+"""Range of phases in which the right foot may strike; outside of it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
-"""Shares of the cycle that a foot may be on the floor, walking and running."""
+"""Range of the share of the cycle that a foot may be on the floor, walking and running."""
 FLAT = (0.25, 0.55)
 """Part of the stance in which a foot is flat."""
 TILT_DEG, LEVEL_DEG = 20.0, 1.5
-"""A flat foot may seem tilted by so much, which is taken out; what is left below `LEVEL_DEG` is noise."""
+"""Largest apparent tilt of a flat foot, which is removed; and tilt below which the rest is noise."""
 SMOOTH_FRAMES = 1.5
 TWITCH_M = 0.15
 """Largest movement of a joint against the pelvis in 1/30 s [m], except for the legs, which are computed anew."""
 STILL_RAD = 0.03
-"""Fingers that move less have not been captured."""
+"""Motion of fingers below which they have not been captured [rad]."""
 
 _LEGS = {f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")}
 _FINGERS = [JOINT_INDEX[f"{side}_{finger}{k}"] for side in ("left", "right") for finger in FINGERS for k in (1, 2, 3)]
@@ -71,7 +71,7 @@ class Cycle:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionGaits(Gaits):
-    """The gaits of a body that walks as a captured cycle does, or runs so, if that is a run."""
+    """Gaits of a body that walks like a captured cycle, or runs like it, if it is a run."""
 
     cycle: Cycle
 
@@ -95,14 +95,14 @@ class MotionGaits(Gaits):
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
-        """Posture at phases of a cycle, as captured where the body moves like that."""
+        """Return the posture at phases of a cycle, from the motion data where the body moves like that."""
         if not self.plays(speed_mps):
             return Gaits.posture(self, speed_mps, phase)
         return cycle_posture(self.cycle, self.legs, self.stride_m(speed_mps), np.asarray(phase, np.float64))
 
 
 def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
-    """Return the body with a motion's cycle as its walk.
+    """Return the body with a motion's cycle as its gait.
 
     Raises:
         InputError: there is no cycle of walking in it that could be played.
@@ -118,7 +118,7 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     """Return the walking cycle of a clip that was fitted to a body.
 
     Raises:
-        InputError: the clip is none of somebody who walks forwards with both feet on one floor.
+        InputError: the clip is not a forward walk with both feet on one floor.
     """
     if clip.speed_mps <= 0 or clip.stride_m < LEAST_STRIDE_M:
         gets = f"{clip.stride_m if clip.speed_mps > 0 else 0:.2f} m in its best cycle of {clip.period_s:.2f} s"

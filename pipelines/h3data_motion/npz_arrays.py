@@ -1,4 +1,4 @@
-"""Arrays in npz files, read without trusting the file: no pickle runs, no array is larger than its bytes."""
+"""Arrays in npz files of unknown origin: no pickle runs, and no array is larger than its bytes."""
 
 from __future__ import annotations
 

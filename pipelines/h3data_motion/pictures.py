@@ -19,7 +19,7 @@ from h3data_motion.retarget import retarget
 def motion_picture(
     motion: Motion, body: Humanoid, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """``frames`` poses of a motion, evenly spaced from first to last, seen from the right, RGB [H, W, 3].
+    """Render ``frames`` poses of a motion, evenly spaced from first to last, seen from the right, RGB [H, W, 3].
 
     The displacement along the floor is removed.
     """
@@ -31,7 +31,7 @@ def motion_picture(
 def clip_picture(
     clip: Clip, body: Humanoid, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """``frames`` evenly spaced phases of a clip, seen from the right, RGB [H, W, 3]."""
+    """Render ``frames`` evenly spaced phases of a clip, seen from the right, RGB [H, W, 3]."""
     rows = np.arange(frames) * len(clip) // frames
     return _strip(body, clip.quats[rows], clip.pelvis[rows], lod, width)
 
@@ -48,7 +48,7 @@ SMOOTH_S = 1.0
 
 
 def follow_camera(replay: Replay, agent: int = 0, *, width: int = 960, height: int = 540) -> CameraTrack:
-    """Return a camera ahead and to the right of an agent, as to its displacement; it moves smoothly and never turns."""
+    """Return a camera ahead and to the right of an agent, seen along its displacement; it moves smoothly and never turns."""
     position = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))[:, :3]
     displacement = position[-1] - position[0]
     reach = max(1, min(round(SMOOTH_S * len(position) / max(replay.recording.duration_s, 1e-3)), len(position) - 1))

@@ -13,9 +13,9 @@ from h3data_motion.clip import Motion
 from h3data_motion.contacts import find_contacts, leg_frames, planted
 
 ADULT_LEG_M = 0.80
-"""Thigh and shank of an adult: for motion that says neither how long its legs are nor shows it by walking."""
+"""Lengths of thigh and shank of an adult, for motions that state no lengths and do not show them by walking."""
 SCALES = (0.5, 2.0)
-"""A scale that planted feet ask for is believed within these."""
+"""Range of scales, estimated from planted feet, that are accepted."""
 FLOOR_PERCENTILE = 20.0
 
 
@@ -28,7 +28,7 @@ class FootReport:
     slide_mm: float
     """Mean distance that a touching foot slides along the floor per 1/30 s [mm]."""
     slide_max_mm: float
-    """The largest one [mm]."""
+    """Largest distance that a touching foot slides along the floor per 1/30 s [mm]."""
     lowest_mm: float
     """Lowest point of any sole [mm]; negative is in the floor."""
 
@@ -53,7 +53,7 @@ def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
 
 
 def foot_report(motion: Motion, body: Humanoid) -> FootReport:
-    """Measures how much the feet of a fitted motion slide and sink."""
+    """Measure how much the feet of a fitted motion slide and sink."""
     points = sole_points(body, leg_frames(body, motion.quats, motion.pelvis))
     contacts = find_contacts(points, motion.fps)
     slides = 1000 * contacts.slide_m[1:][contacts.touching[1:]] * motion.fps / 30

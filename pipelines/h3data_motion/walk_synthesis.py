@@ -1,4 +1,4 @@
-"""Makes people of recordings that hold little of them: a walk for a path of roots, a built-in body for postures.
+"""Synthesis of people for recordings with little data: a gait for a path of roots, a built-in body for postures.
 
 A walk is clips played by distance and by turn.
 """
@@ -20,18 +20,20 @@ from h3data.geometry import Array, heading_from_quat, wrap_angle
 SYNTHETIC_BODY = "neutral_0"
 """Body for people of whom only the root is known."""
 SAME_FLOOR_M = 0.15
-"""A floor nearer than this to the robot's is the robot's [m]."""
+"""Height difference from the robot's floor below which people are on the same floor [m]."""
 WINDOW_S = 0.5
-"""Speeds are means over this time."""
+"""Time over which speeds are averaged [s]."""
 TURN_ABOVE_RAD_S = 0.4
 JUMP_MPS = 8.0
-"""Speed that nobody reaches by walking: a faster step is a jump to another place [m/s]."""
+"""Speed above which a step is a jump to another place: nobody walks as fast [m/s]."""
 BLEND_S = 0.25
-"""Transition from standing to the clip and back."""
+"""Duration of the transition from standing to the clip and back [s]."""
 
 
 def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """``motion_id``, ``motion_phase`` and ``motion_blend`` [T] of a person whose agent root follows ``base_pose`` [T, 7].
+    """Return the walking motion of a person whose agent root follows ``base_pose`` [T, 7].
+
+    The columns are ``motion_id``, ``motion_phase`` and ``motion_blend`` [T].
 
     The path is cut into spans of standing, walking and turning on the spot. Each span plays one clip: the one of its
     typical speed, by distance (backwards if they walk backwards), or the one of the side, by angle.

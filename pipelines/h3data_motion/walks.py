@@ -1,4 +1,4 @@
-"""Choice of the few seconds of a capture that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
+"""Choice of the few seconds of a capture that become a gait; `h3data.bodies.names` uses the group `h3data.walks`."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ LEAST_FPS, KEPT_FPS = 20.0, 60.0
 CUT_M, CUT_MPS2 = 0.02, 25.0
 """Joints jump where their mean change of velocity in a frame is larger than this: a length, and an acceleration besides."""
 PACE_S, WALKS_SHARE, LEAST_MPS = 0.6, 0.7, 0.3
-"""A person walks while their speed over `PACE_S` is above this share of the fastest, and the fastest above `LEAST_MPS`."""
+"""Time over which speeds are measured [s], share of the fastest speed above which a person walks, and least fastest
+speed [m/s]."""
 CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
 """Length of a cycle of two steps, and of the parts before and after it that are stored [s]."""
 GAP_SHARE = 0.75
-"""The end of a cycle may differ from its start by this share of how poses differ from their mean; opposite ones have 1.3."""
+"""Share of the poses' deviation from their mean by which the end of a cycle may differ from its start; opposite poses
+have 1.3."""
 
 
 def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
-    """Return a body called ``name`` that walks as the contents of a motion file say."""
+    """Return a body called ``name`` with the gait in the contents of a motion file."""
     return walks_as(body, load_motion(io.BytesIO(data)), name=name)
 
 
 def facts(data: bytes) -> dict[str, str]:
-    """Return the facts of a walk that recordings hold, from the contents of its file."""
+    """Return the facts about a gait for recordings, from the contents of its file."""
     motion = load_motion(io.BytesIO(data))
     return {"name": motion.name, "source": motion.source}
 
@@ -57,7 +59,7 @@ def walk_file(path: str) -> bytes:
 
 
 def walk_of(motion: Motion) -> Motion:
-    """Return the part of a motion that becomes a walk: its best cycle, and a little before and after it.
+    """Return the part of a motion that becomes a gait: its best cycle, and a little before and after it.
 
     Raises:
         InputError: it has too few frames a second, or nobody walks in it for a cycle without a cut.

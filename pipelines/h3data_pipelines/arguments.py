@@ -1,4 +1,4 @@
-"""Types of what `h3data.generate` and the other jobs take: where a thing has a name or a path, so is the thing.
+"""Types of the arguments of `h3data.generate` and the other jobs: names, paths, or the objects themselves.
 
 A `Robot`, the class of a policy or of a task stand for their names.
 """

@@ -1,4 +1,4 @@
-"""The ``h3data`` command line. Exit codes: 0 done, 1 done but failures are listed, 2 refused (bad input), 130 interrupted."""
+"""Command line ``h3data``. Exit codes: 0 done, 1 done with failures, 2 refused (bad input), 130 interrupted."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _close_stdout() -> None:
 
 
 def entry() -> None:
-    """Console entry point."""
+    """Run the command line and exit: the console entry point."""
     for number in (signal.SIGTERM, signal.SIGHUP):  # ended from outside, or the terminal closed: as after Ctrl-C
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks to go on
             signal.signal(number, signal.default_int_handler)

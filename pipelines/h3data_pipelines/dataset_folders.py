@@ -1,4 +1,4 @@
-"""Care with the folder that a dataset is written to: what it holds, its removal, and writes that end before Ctrl-C does."""
+"""Safety of dataset folders: their contents, their removal, and writes that end before an interruption."""
 
 from __future__ import annotations
 

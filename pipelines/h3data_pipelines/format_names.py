@@ -1,4 +1,4 @@
-"""File formats as commands name them."""
+"""Names of file formats in commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from h3data.formats import FORMATS, Format, export_options
 
 
 def import_suffixes() -> tuple[str, ...]:
-    """Endings of the files that `h3data import` collects from a folder."""
+    """Return the endings of the files that `h3data import` collects from a folder."""
     readable = (one for one in FORMATS.load_all().values() if one.read is not None)
     return tuple(dict.fromkeys(suffix for one in readable for suffix in one.suffixes))
 

@@ -1,4 +1,4 @@
-"""Options of a command in a TOML file, for ``--config``: a job that can be kept beside its results and run again."""
+"""Options of a command in a TOML file, for ``--config``: a job that can be stored beside its results and run again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values of options from the words of a command line, and messages in the words of a shell."""
+"""Values of options from the words of a command line, and messages in the terms of a shell."""
 
 from __future__ import annotations
 

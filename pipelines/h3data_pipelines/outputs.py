@@ -1,4 +1,4 @@
-"""Files for the outputs of a camera: videos to look at, lossless videos, or numbered pictures."""
+"""Files for the outputs of a camera: videos for viewing, lossless videos, or numbered pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Form = Literal["h264", "av1", "ffv1", "png"]
 Format = Literal["mp4", "av1", "png", "data"]
 ToPicture = Callable[[NDArray[Any], int], NDArray[Any]]
-"""Converts the rendered image of a step to the one that is stored."""
+"""Function that converts the rendered image of a step to the stored one."""
 
 OutputName = Literal["rgb", "depth", "instance", "semantic"]
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
@@ -75,7 +75,7 @@ class Target:
 
 
 class Sink(Protocol):
-    """Stores frames in two steps."""
+    """Storage of frames in two steps."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
         """Return the work that can run in any thread and any order; the result goes to `write`."""

@@ -1,4 +1,4 @@
-"""Parses the words after ``h3data``: the command, its options, and one line about what is wrong with them."""
+"""Parsing of the words after ``h3data``: the command, its options, and one line about errors in them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Invocation:
 
     command: Command
     quiet: bool = False
-    """No progress, notices or warnings; results and errors are still printed."""
+    """True if progress, notices and warnings are not printed; results and errors still are."""
 
 
 def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Invocation:

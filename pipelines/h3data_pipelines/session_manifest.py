@@ -1,4 +1,4 @@
-"""The manifest of a study: a CSV table that says who took part in which session under which condition.
+"""Manifest of a study: a CSV table of participants, sessions and conditions.
 
 One row for each participant, condition, session or file; the columns of the first kind choose recordings, those of the
 second say something about them:
@@ -42,7 +42,7 @@ class ManifestRow:
     say: Mapping[str, str | int]
 
     def fits(self, recording: Recording, file: PurePosixPath) -> bool:
-        """Return whether all its choosing cells fit a recording that was imported from ``file``."""
+        """Return whether all its selecting cells match a recording that was imported from ``file``."""
         info = recording.episode.info
         people = [str(name) for name in dict(info.get("participants") or {}).values()]
         tests = {
@@ -56,17 +56,17 @@ class ManifestRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SessionManifest:
-    """A manifest, and which of its rows have been used."""
+    """A manifest, and the rows that have been used."""
 
     path: Path
     rows: tuple[ManifestRow, ...]
     ignored: tuple[str, ...]
-    """Columns that mean nothing here."""
+    """Names of columns without a meaning."""
     used: set[int] = field(default_factory=set)
-    """Lines of the rows that fitted a recording."""
+    """Lines of the rows that matched a recording."""
 
     def applied(self, recording: Recording, file: PurePosixPath) -> tuple[Recording, bool]:
-        """Return the recording with what the rows say about it in `Episode.info`, and whether any row fitted.
+        """Return the recording with the data of its rows in `Episode.info`, and whether any row matched.
 
         Args:
             recording: The imported recording.
@@ -84,7 +84,7 @@ class SessionManifest:
 
     @property
     def unused(self) -> tuple[int, ...]:
-        """Lines of the rows that fitted no recording."""
+        """Lines of the rows that matched no recording."""
         return tuple(row.line for row in self.rows if row.line not in self.used)
 
 

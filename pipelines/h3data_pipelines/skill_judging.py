@@ -1,4 +1,4 @@
-"""Plays one skill of a robot that is alone in an episode of rearrangement: how it ends, and after how many steps."""
+"""Evaluation of one skill of a robot that is alone in an episode of rearrangement: its outcome and number of steps."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 
 class SkillScore(NamedTuple):
-    """The end of a skill."""
+    """Outcome of a skill."""
 
     outcome: str
-    """``done`` or ``failed``."""
+    """Outcome of the skill: ``done`` or ``failed``."""
     reason: str
     steps: int
     path_m: float
-    """Length of the shortest path to where the target is reached from, at the start."""
+    """Length of the shortest path, at the start, to the place from which the target can be reached [m]."""
     contact: int
     """Number of steps in which the base touched the home."""
 
 
 def action_of(start: SkillStart) -> Action:
-    """Return the action of the upper layer that a start is for."""
+    """Return the action of the upper layer that begins at a start."""
     name = {"nav": "nav_to_goal" if start.holds else "nav_to_object"}.get(start.skill, start.skill)
     return Action(name, start.target)
 

@@ -1,4 +1,4 @@
-"""Marks of options that depend on the task: which tasks have an option, and what it means in each, as the tasks say it."""
+"""Markers of options that depend on the task: which tasks have an option, and its meaning in each."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 SKILL = "skill"
-"""Name that commands take in the place of a task: a single skill of a robot."""
+"""Name that commands accept instead of a task: a single skill of a robot."""
 REMARKS: Mapping[str, str] = {
     "future_oracle": "knows their walk",
     "end_to_end": "sees by cameras",
     "end_to_end_paper": "sees by cameras",
     "plan_pop_3_pixels": "sees by a camera",
 }
-"""Words in brackets after the name of a policy."""
+"""Remarks in brackets after the names of policies."""
 _NUMBERED = re.compile(r"(.*_)(\d+)")
 
 
@@ -43,7 +43,7 @@ def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
 
 
 def task_notes(note: Callable[[Task], str], **others: str) -> TaskNotes:
-    """Mark an option with what it means in each task; ``others`` are sentences by a name in the place of a task."""
+    """Mark an option with its meaning in each task; ``others`` are sentences by a name in the place of a task."""
 
     def said(name: str) -> str:
         task = _found(name)
@@ -81,9 +81,9 @@ def in_ranges(names: Sequence[str]) -> list[str]:
 
 
 WITH_SKILLS = of_tasks(lambda task: task.control.has_skills)
-"""Mark of options of tasks whose agents choose skills."""
+"""Marker for options of tasks whose agents choose skills."""
 PLAYED = of_tasks(lambda task: True)
-"""Mark of options of all tasks, but not of a single skill."""
+"""Marker for options of all tasks, but not of a single skill."""
 
 
 def _found(name: str) -> Task | None:

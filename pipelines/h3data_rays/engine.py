@@ -1,4 +1,4 @@
-"""The CPU rasteriser, with rays for what it cannot do: other projections, shadows of the sun, and the back end ``rays``."""
+"""CPU rasteriser, with rays for what it does not support: other projections, shadows of the sun, and the back end ``rays``."""
 
 from __future__ import annotations
 

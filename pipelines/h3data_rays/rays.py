@@ -29,11 +29,11 @@ class Hits(NamedTuple):
     """The first surface that each ray [...] meets."""
 
     distance: NDArray[np.float32]
-    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss. Shape [...]."""
+    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss, shape [...]."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = miss. Shape [...]."""
+    """Index into the scene's instances, -1 = miss, shape [...]."""
     triangle: NDArray[np.int32]
-    """Triangle of the instance's mesh, -1 = miss. Shape [...]."""
+    """Triangle of the instance's mesh, -1 = miss, shape [...]."""
     barycentric: NDArray[np.float32]
     """Weights of the triangle's second and third vertex, shape [..., 2]."""
 
@@ -71,7 +71,7 @@ class Part:
         self._cut_scene = _embree_scene(self._vertices, self._faces[self._whole :])
 
     def cast(self, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
-        """Embree's result for rays [N, 3] up to ``limits`` [N]; rays pass through holes."""
+        """Return Embree's result for rays [N, 3] up to ``limits`` [N]; rays pass through holes."""
         hits = _run(self._scene, origins, directions, limits)
         if self._whole == len(self._faces):
             return hits
@@ -116,7 +116,7 @@ class Part:
 
 
 class RayCaster:
-    """The triangles of a scene at one moment, ready for rays from anywhere.
+    """Triangles of a scene at one moment, for rays from anywhere.
 
     ``poses`` (from `Renderer.poses`) holds transforms and visibility, by default those the scene was built with;
     ``shown`` [I] overrides the visibility. Building takes about a second per million triangles.
@@ -176,7 +176,7 @@ class RayCaster:
         return ~(blocked & (distance > 0))
 
     def normals(self, hits: Hits, toward: ArrayLike) -> NDArray[np.float32]:
-        """Unit world normals [..., 3] at hits; 0 for misses.
+        """Return unit world normals [..., 3] at hits; 0 for misses.
 
         They are smooth if the mesh has vertex normals, and are on the side of the surface that faces the direction
         ``toward`` [..., 3].
@@ -232,7 +232,7 @@ class LidarScan(NamedTuple):
     """Result of one revolution of a lidar."""
 
     distance: NDArray[np.float32]
-    """Shape [L, C] [m]; 0 = no surface within range."""
+    """Distance [m], 0 = no surface within range, shape [L, C]."""
     instance: NDArray[np.int32]
     """Index into the scene's instances, -1 = miss, shape [L, C]."""
     points: NDArray[np.float64]
@@ -267,7 +267,7 @@ def lidar(
 
 
 class LidarScanner:
-    """Distances of lidars in a scene of which most never moves."""
+    """Lidar scanner in a scene of which most never moves."""
 
     def __init__(self, scene: RenderScene, poses: Poses, still: NDArray[np.bool_]) -> None:
         """Prepare the instances [I] that are ``still``, once for all scans."""
@@ -276,7 +276,7 @@ class LidarScanner:
     def scan(
         self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
     ) -> NDArray[np.float32]:
-        """Return distances [L, C] [m], the range where nothing is nearer.
+        """Return distances [L, C] [m]; the scanner's range where nothing is nearer.
 
         Other instances count if they are ``shown`` [I].
 

@@ -34,7 +34,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the observations."""
+        """Names of the observations in the entry."""
         return (self.sensor,) if isinstance(self.sensor, str) else tuple(self.sensor)
 
 
@@ -42,7 +42,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """Form of a server's requests and answers."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,40}$")] = "adapter"
-    """Recorded as the policy's name where the server has none."""
+    """Name of the policy in recordings, for servers that state none."""
     observation: dict[str, Entry] = {}
     """Observations by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
     light: LightMode = "flat"
@@ -55,12 +55,12 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
     """Key of the chunk of actions in an answer; if several keys are given, their columns are put side by side."""
     columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
-    """Columns of a chunk that are the robot's, in this order; empty: all."""
+    """Columns of a chunk that are the robot's, in order; empty: all."""
     action: Literal["base", "control"] = "base"
-    """``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a number for each joint of
-    the arm and one for the grip, likewise."""
+    """Kind of action. ``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a
+    number for each joint of the arm and one for the grip, likewise."""
     hold: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
-    """Actions of a chunk that are carried out before the server is asked again, one for each step of 1/30 s."""
+    """Number of actions of a chunk that are carried out, one for each step of 1/30 s, before the next request."""
     timeout_s: Seconds = 30.0
     first_timeout_s: Seconds = 300.0
     """Timeout of the first answer of a server, which may have to compile its model."""
@@ -69,11 +69,11 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
 
 DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
-"""Name of the adapter by the scheme of an address, for servers that bring none of their own."""
+"""Name of the adapter by the scheme of an address, for servers without an adapter of their own."""
 
 
 def built_in_adapters() -> tuple[str, ...]:
-    """Return names of the adapters that come with the package."""
+    """Return the names of the adapters that are included in the package."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
@@ -109,7 +109,7 @@ def adapter_of(table: Any, what: str) -> Adapter:
 
 
 class Observer:
-    """Makes the observations that an adapter asks for of a robot."""
+    """Source of the observations of a robot that an adapter requests."""
 
     def __init__(self, adapter: Adapter, body: Body, *, batched: bool) -> None:
         """Look up cameras and sizes.
@@ -184,7 +184,7 @@ def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
 
 
 def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries ``group.name`` as maps within a map."""
+    """Group entries ``group.name`` as dictionaries within a dictionary."""
     found: dict[str, Any] = {}
     for key, value in entries.items():
         group, dot, name = key.partition(".")
@@ -198,7 +198,7 @@ def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
 def chunk_of(
     answer: Mapping[str, Any], adapter: Adapter, width: int, server: str, *, batched: bool
 ) -> NDArray[np.float32]:
-    """Return the actions of an answer that will be carried out, [hold, width] in -1..1.
+    """Return the actions of an answer to be carried out, [hold, width] in -1..1.
 
     Args:
         answer: Answer of the server.

@@ -1,4 +1,4 @@
-"""A remote policy beside a loop that keeps time: a thread waits for the server, and the loop never does."""
+"""Remote policy in a real-time loop: a thread waits for the server, and the loop never does."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SlowPolicy(Protocol):
         ...
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Any:
-        """Return the choice that one action [width] means."""
+        """Return the choice for one action [width]."""
         ...
 
     def reconnect(self) -> None:
@@ -43,7 +43,7 @@ class SlowPolicy(Protocol):
         """End the conversation with the server."""
 
     def recorded_info(self) -> dict[str, Any]:
-        """Return what a recording says about the server."""
+        """Return the recorded facts about the server."""
         ...
 
 
@@ -90,10 +90,10 @@ class BackgroundPolicy:
         return self._policy.choice(self._last, view)
 
     def after(self, spans: list[Any]) -> None:
-        """Take note of nothing: commands of servers are no skills that end."""
+        """Do nothing: commands of servers are not skills that end."""
 
     def recorded_info(self) -> dict[str, Any]:
-        """Recorded info of the policy, with the number of late answers."""
+        """Return the recorded info of the policy, with the number of late answers."""
         (found,) = self._policy.recorded_info()["remote"]
         return {"remote": [{**found, "late_steps": self.late, "faults": self.faults}]}
 

@@ -1,4 +1,4 @@
-"""Connections to policy servers: a request goes out, an answer comes back in time, or one sentence says why not.
+"""Connections to policy servers: a request, and an answer in time or one sentence with the reason.
 
 Neither kind has threads of its own: waiting costs nothing, and a process may be forked.
 """
@@ -105,7 +105,7 @@ class Connection(Protocol):
         ...
 
     def close(self) -> None:
-        """End the conversation; more than once does nothing."""
+        """End the conversation. A second call does nothing."""
 
 
 def connect(address: Address) -> Connection:
@@ -200,7 +200,7 @@ class WebSocketConnection:
             raise
 
     def close(self) -> None:
-        """End the conversation; more than once does nothing."""
+        """End the conversation. A second call does nothing."""
         if self._is_open:
             self._is_open = False
             with suppress(OSError, WebSocketException, AttributeError):
@@ -369,7 +369,7 @@ class ZmqConnection:
         )
 
     def close(self) -> None:
-        """End the conversation; more than once does nothing."""
+        """End the conversation. A second call does nothing."""
         if not self._socket.closed:
             self._socket.disable_monitor()
             self._breaks.close(linger=0)

@@ -1,4 +1,4 @@
-"""A robot's policy behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
+"""Policy of a robot behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.policy import Velocity
 
 OWN = "h3data"
-"""Entry of a server's metadata that is for us: ``name``, ``adapter``, ``batch``, ``view``."""
+"""Entries of a server's metadata for h3data: ``name``, ``adapter``, ``batch``, ``view``."""
 MOST_METADATA = 4096
-"""Number of bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
+"""Largest size of a server's metadata, as JSON, that is recorded [bytes]; of larger metadata only the digest is
+recorded."""
 _ANSWERED: set[str] = set()
 """Servers that have answered this process before, so that they need not compile any more."""
 
@@ -81,19 +82,20 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
 
 
 def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the facts that a server of ours states in its metadata; none for other servers."""
+    """Return the facts in the metadata of an h3data server; none for other servers."""
     own = metadata.get(OWN)
     return own if isinstance(own, dict) else {}
 
 
 class RemotePolicy:
-    """Asks a server what a robot does, and carries out its chunks of actions one step at a time.
+    """Policy that asks a server for a robot's actions, and carries out its chunks one step at a time.
 
     Each episode has a connection of its own, by which servers know that a new one begins.
     """
 
     is_remote = True
-    """Constant True: the recorded actions are repeated without asking the policy (`sim_kinematic.policies.recorded`)."""
+    """Constant True: a replay repeats the recorded actions without asking the policy
+    (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
         """Connect to the server.
@@ -160,7 +162,7 @@ class RemotePolicy:
 
     # --- one decision -------------------------------------------------------------------------------------------------
     def act(self, view: Any) -> Velocity | Action:
-        """Return the next action of the present chunk; of a new one where it is used up, or where steps were left out.
+        """Return the next action of the present chunk, or of a new one if it is used up or if steps were left out.
 
         Raises:
             PolicyServerError: the server is gone or late, or answers with something that is no chunk.
@@ -194,7 +196,7 @@ class RemotePolicy:
         return nested(entries) if self._batched else entries
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
-        """Actions [hold, width] that the server answers with.
+        """Return the actions [hold, width] that the server answers with.
 
         Raises:
             PolicyServerError: there are none in time, or of another kind.
@@ -219,7 +221,7 @@ class RemotePolicy:
             raise
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Velocity | Action:
-        """Return the choice that one action [width] means in the task."""
+        """Return the choice for one action [width] in the task."""
         if self._with_objects:
             rest = [] if len(row) > 2 else [0.0] * self._arm
             return Action(CONTROL, command=(*map(float, row), *rest))

@@ -1,4 +1,4 @@
-"""Views of privileged policies on the wire, for servers of ours whose planners know the map and where everybody is.
+"""Views of privileged policies in messages, for servers of our planners, which know the map and all positions.
 
 The episode goes out once, as a recording of a step in which nobody moves; then the plain fields of each view do. What a
 view can ask the simulator for, such as pictures, stays behind.

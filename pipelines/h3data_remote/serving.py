@@ -1,4 +1,4 @@
-"""A server for policies of ours, in openpi's protocol: for tests, demonstrations and other simulators."""
+"""Server for our policies, in openpi's protocol: for tests, demonstrations and other simulators."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-042") from error
 
 MOST_SESSIONS = 256
-"""Greatest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
+"""Largest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
 log = logging.getLogger("h3data.remote")
 
 
@@ -95,7 +95,7 @@ class _ServedVisualNavigation(VisualNavigation):
 
 
 class ServedPolicy:
-    """A policy as a server plays it: what it says about itself, and fresh players of it."""
+    """A policy on a server: its metadata, and fresh players of it."""
 
     def __init__(self, name: str, task: str | None = None, adapter: Adapter | None = None) -> None:
         """Find the policy.
@@ -244,7 +244,7 @@ def _health(connection: ServerConnection, request: Any) -> Any:
 
 
 class Sessions:
-    """The episodes that are played now, by the names that clients give them, whatever connection their requests come by."""
+    """Episodes that are being played, by the names that clients give them, independent of connections."""
 
     def __init__(self, served: ServedPolicy) -> None:
         self._served, self._lock = served, threading.Lock()

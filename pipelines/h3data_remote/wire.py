@@ -1,4 +1,4 @@
-"""Messages of policy servers as bytes, and back: MessagePack with arrays in it, as openpi and GR00T write them.
+"""Messages of policy servers as bytes, and back: MessagePack with arrays in it, as in openpi and GR00T.
 
 Nothing that comes from the wire is executed: arrays are numbers of a known dtype, whose shape fits their bytes.
 """
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from h3data.errors import H3DataError
 
 MOST_BYTES = 64 * 1024**2
-"""Messages are at most so large, in both directions."""
+"""Largest size of a message, in both directions [bytes]."""
 MISSING = "Policy servers need the packages websockets and pyzmq. Hint: pip install 'h3data[remote]'"
 _KINDS = "biuf"
 """Kinds of dtypes that are taken from the wire: booleans, integers and floats."""
 
 
 class PolicyServerError(H3DataError):
-    """A policy server is gone or late, or answers with something that is no action."""
+    """A policy server is gone or late, or its answer is not an action."""
 
 
 class Codec:
@@ -123,7 +123,7 @@ def _unpack_openpi(value: dict[Any, Any]) -> Any:
 
 
 OPENPI = Codec(_pack_openpi, _unpack_openpi)
-"""An array is a map of its raw bytes, dtype and shape, whose keys are bytes."""
+"""Encoding of arrays for openpi: a map of raw bytes, dtype and shape, whose keys are bytes."""
 
 
 # --- GR00T ------------------------------------------------------------------------------------------------------------
@@ -161,4 +161,4 @@ def _array_of_npy(data: bytes) -> NDArray[Any]:
 
 
 GROOT = Codec(_pack_groot, _unpack_groot)
-"""An array is a map with a .npy file."""
+"""Encoding of arrays for GR00T: a map with a .npy file."""

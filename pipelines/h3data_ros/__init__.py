@@ -1,4 +1,4 @@
-"""ROS 2 without ROS: bags out and in, tracks of people in the files of data sets, and maps of map_server as scenes.
+"""ROS 2 without ROS: export and import of bags, tracks of people in the files of data sets, and maps of map_server as scenes.
 
 These formats are recognised by `h3data.formats.builtin_formats`.
 """

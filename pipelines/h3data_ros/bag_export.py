@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 MAP, PERSON, THING = "map", "person_", "object_"
 TRACKED_JOINTS = JOINT_INDEX["jaw"]
-"""Joints of people whose frames are written: those of the body, without face and fingers."""
+"""Joints of people whose frames are written: the body without face and fingers."""
 FILES = "h3data"
-"""Folder in the bag with the files of the recording, above all its scene."""
+"""Name of the folder in the bag for files of the recording, such as its scene."""
 START_NS = 1_000_000_000
-"""Stamp of time 0 of recordings that do not know when they began: stamp 0 means "latest" or "never" in ROS."""
+"""Time stamp of time 0 in recordings without a start time [ns]: stamp 0 means "latest" or "never" in ROS."""
 METADATA_VERSION = 8
 """Version of metadata.yaml: tools of Humble and Iron do not read version 9."""
 PERSON_RADIUS_M = 0.25
@@ -54,7 +54,7 @@ CLOUD_FRAME = "base_lidar_3d"
 RAYS_MAX = 4096
 JPEG_QUALITY = 90
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
-"""Steps in their order, each with the sRGB picture [H, W, 3] of every camera."""
+"""Steps in their order, with the sRGB picture [H, W, 3] of every camera."""
 
 
 class _RobotScan(NamedTuple):
@@ -82,7 +82,7 @@ class BagCamera:
     camera: Camera
     """Intrinsics and name."""
     poses: NDArray[np.floating]
-    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
+    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of a static camera."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class BagFile:
     topics: tuple[str, ...]
     messages: int
     notes: tuple[str, ...]
-    """Sentences about topics for which the recording lacks something."""
+    """Sentences about topics whose data the recording lacks."""
 
 
 def write_rosbag2(

@@ -1,4 +1,4 @@
-"""Bags of ROS 2 as recordings: those of real robots with tracked people, and our own (needs ``h3data[ros]``)."""
+"""Bags of ROS 2 as recordings: bags of real robots with tracked people, and our own (needs ``h3data[ros]``)."""
 
 from __future__ import annotations
 
@@ -39,14 +39,15 @@ TRACKED, IDS, PEOPLE, MARKERS = (
     "visualization_msgs/msg/MarkerArray",
 )
 OF_PEOPLE = (IDS, TRACKED, PEOPLE, MARKERS)
-"""Types of topics of people, the preferred first. Markers are taken only when they are asked for: any topic has them."""
+"""Types of topics of people, the preferred first. Markers are used only if the user names them: any topic may have
+them."""
 BASES = ("base_footprint", "base_link")
 ROOTS = ("map", "odom")
 _SOLID = (1, 2, 3, 10)
 """Markers that show a body: cubes, spheres, cylinders, meshes; texts, arrows and lines are beside it."""
 Pose = tuple[float, float, float, float, float, float, float]
 UNTURNED = (math.nan, math.nan, math.nan, math.nan)
-"""Quaternion of something whose turn a message does not say."""
+"""Quaternion for objects whose rotation a message does not state."""
 
 
 def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:

@@ -1,4 +1,4 @@
-"""Joint states and laser scans of a bag, in the rows of the recording that its tracks have become."""
+"""Joint states and laser scans of a bag, resampled to the rows of the recording."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class JointLog:
                 self.positions.setdefault(name, []).append(position)
 
     def at(self, name: str, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the positions [T] of a joint at times [T], interpolated; before and after its stamps the nearest."""
+        """Return the positions [T] of a joint at times [T], interpolated; before and after its stamps, the nearest position."""
         times, first = np.unique(np.array(self.times[name], np.int64), return_index=True)
         positions = np.array(self.positions[name])[first]
         return np.interp(rows - rows[0], times - rows[0], positions).astype(np.float32)
 
 
 def with_joints(recording: Recording, joints: JointLog, rows: NDArray[np.int64]) -> Recording:
-    """Return the recording with the joint positions that a bag states of its robot at the times ``rows`` [T] [ns]."""
+    """Return the recording with its robot's joint positions from a bag, at the times ``rows`` [T] [ns]."""
     robot, column = recording.agents[0], "agent_0.joint_pos"
     named = [k for k, name in enumerate(robot.joint_names) if name in joints.times]
     if not named:
@@ -79,7 +79,7 @@ def with_scans(
     rows: NDArray[np.int64],
     gap_ns: int,
 ) -> tuple[Recording, int]:
-    """Return the recording with the scans of its robot as the sensor ``lidar``, and how many messages became rows.
+    """Return the recording with the scans of its robot as the sensor ``lidar``, and the number of messages that became rows.
 
     Each row has the message with the nearest stamp, no farther away than ``gap_ns``. Its points, in the robot's ``frame``,
     become `RAYS` distances from that frame: the nearest point in each degree. Of clouds, points within `BAND_M` are taken.

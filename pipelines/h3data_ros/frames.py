@@ -1,4 +1,4 @@
-"""Poses in the frames of ROS (REP 103: x forward, y left, z up) and in ours (+Y up, z right), converted exactly both ways.
+"""Exact conversion of poses between the frames of ROS (REP 103: x forward, y left, z up) and h3data (+Y up, z right).
 
 Both turn by 90 degrees about x, so numbers only change their places and signs, and no digit is lost.
 """
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.geometry import quat_from_axis_angle
 
 FROM_WORLD = np.array([0, 0, 0, *quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
-"""Pose of our world in the frame ``map``, and of an agent's root in ``base_footprint``: a turn about x [7]."""
+"""Pose of h3data's world in the frame ``map``, and of an agent's root in ``base_footprint``: a turn about x [7]."""
 _UNSAFE = re.compile(r"[^A-Za-z0-9_]+")
 
 

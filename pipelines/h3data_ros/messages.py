@@ -37,7 +37,7 @@ geometry_msgs/TwistWithCovariance twist
 spencer_tracking_msgs/TrackedPerson[] tracks
 """,
 }
-"""Messages about people, which ROS does not bring along, by type."""
+"""Definitions of messages about people, which ROS does not include, by type."""
 
 
 def require_rosbags() -> None:

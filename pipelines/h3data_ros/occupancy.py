@@ -22,7 +22,7 @@ UNSEEN_M = 0.25
 """Cells farther than this behind the outline of the floor are unknown, as in the map of a robot that has never seen them."""
 CELLS_MAX = 40_000_000
 FINEST_M, COARSEST_M, LONGEST_M, FARTHEST_M = 0.001, 1.0, 1e3, 1e5
-"""Least and greatest cell, greatest side, and greatest coordinate of the origin, of what is taken for a map [m]."""
+"""Least and greatest cell, greatest side, and greatest coordinate of the origin of a map [m]."""
 """Cells of a map that is read."""
 RECTANGLES_MAX = 100_000
 WALL_M = 2.5

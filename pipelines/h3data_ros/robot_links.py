@@ -14,7 +14,7 @@ from h3data_ros.frames import FROM_WORLD
 FOOTPRINT, BASE = "base_footprint", "base_link"
 BLOCK = 256
 Edge = tuple[str, str, NDArray[np.float64]]
-"""Parent, child and pose [7] of the child in the parent."""
+"""Parent frame, child frame and pose [7] of the child in the parent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +23,7 @@ class RobotLinks:
 
     still: list[Edge]
     moving: list[tuple[str, str]]
-    """Parent and child."""
+    """Names of parent and child of each moving frame."""
     poses: NDArray[np.float64]
     """Poses of the moving frames in their parents [T, M, 7]; NaN where a joint is unknown."""
 

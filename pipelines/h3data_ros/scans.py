@@ -9,7 +9,7 @@ from h3data.geometry import distance_to_circles
 from h3data.scene import FreeSpace
 
 RANGE_M = (0.05, 12.0)
-"""Nearest and farthest range [m]; farther ones are infinite, as REP 117 wants."""
+"""Nearest and farthest range [m]; farther ones are infinite, as in REP 117."""
 _BLOCK = 64
 
 

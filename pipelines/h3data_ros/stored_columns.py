@@ -1,4 +1,4 @@
-"""Records of a recording as JSON and its other columns as rows of numbers, for which standard messages have no place."""
+"""Records of a recording as JSON, and columns as rows of numbers, which standard messages cannot hold."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RECORDS = {
 
 
 def carried(columns: Mapping[str, NDArray[Any]], told: Sequence[str]) -> list[Column]:
-    """Return the columns that `COLUMNS_TOPIC` carries: all but those that other messages tell, and the time."""
+    """Return the columns that `COLUMNS_TOPIC` contains: all that no other message contains, without the time."""
     return [column for column in layout_of(columns) if column.name not in told and column.name != "time_ns"]
 
 
@@ -59,7 +59,7 @@ def rows_of(columns: Mapping[str, NDArray[Any]], layout: Sequence[Column], rows:
 
 
 def columns_from(rows: NDArray[np.float64], layout: Sequence[Column]) -> dict[str, NDArray[Any]]:
-    """Return the columns that `rows_of` made numbers of; the inverse.
+    """Return the columns from their rows of numbers: the inverse of `rows_of`.
 
     Raises:
         FormatError: the rows have another width.

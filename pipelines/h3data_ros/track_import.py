@@ -19,7 +19,7 @@ BYTES_MAX = 500_000_000
 SLOW_S = 10.0
 """Time between observations of one agent above which times are not in seconds [s]."""
 SPARSE = 1.5
-"""Ratio of people who are present to those observed in a row above which their times differ, so that rows need a rate."""
+"""Ratio of present people to those observed in a row above which their times differ, so that rows need a rate."""
 
 
 def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:

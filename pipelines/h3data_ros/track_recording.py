@@ -1,4 +1,4 @@
-"""Tracks of a robot and of people, from a bag or a file, as a recording that metrics, reports and pictures take."""
+"""Tracks of a robot and of people, from a bag or a file, as a recording for metrics, reports and pictures."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
 GAP_S = 0.5
-"""Largest gap between observations over which poses are interpolated [s]; in longer gaps there is none."""
+"""Longest gap between observations across which poses are interpolated [s]; in longer gaps there are none."""
 JUMP_MPS, JUMP_M = 8.0, 1.0
-"""Speed and distance that nobody exceeds, noise aside: a track that jumps becomes two people."""
+"""Speed and distance that nobody exceeds except by noise: a track that jumps farther becomes two people."""
 TELEPORTING = 0.5
 """Share of jumping tracks above which the unit or the rate is wrong."""
 PLACE_MAX_M = 1e8
-"""Greatest coordinate of a place [m]; UTM has 1e7. Those beyond count as unknown, as squares of far greater ones overflow."""
+"""Greatest coordinate of a place [m]; UTM has 1e7. Those beyond count as unknown, as their squares overflow."""
 FAR_M = 1000.0
-"""World coordinates are float32: origins farther away are moved by whole metres."""
+"""Distance of the origin above which it is moved by whole metres, as world coordinates are float32 [m]."""
 CELLS_MAX = 20_000_000
-"""Number of rows times people of one recording."""
+"""Largest product of rows and people of one recording."""
 HEADING_S, HEADING_M = 0.5, 0.1
-"""Headings are directions of motion over this time, where it leads so far [m]; else the one before holds."""
+"""Time over which headings are measured as directions of motion [s], and least distance covered in it [m]; below it the
+last heading stays."""
 FOOTPRINT_M, HEIGHT_M = 0.25, 0.5
 """Radius and height of the cylinder that shows a robot without a model."""
 Array = NDArray[np.float64]
@@ -50,12 +51,12 @@ class Track:
     time_ns: NDArray[np.int64]
     """Times [N], in any order."""
     poses: Array
-    """Poses (pose7) in the world [N, 7], at the floor; the quaternion is NaN where only the place is known."""
+    """Poses (pose7) in the world [N, 7], at the floor; the quaternion is NaN if only the place is known."""
 
 
 @dataclass
 class Import:
-    """Facts about an import, told in ``episode.info``."""
+    """Facts about an import, as in ``episode.info``."""
 
     source: dict[str, Any]
     """Format and name of the file."""
@@ -63,7 +64,7 @@ class Import:
     """Facts about the import: rates, topics, gaps and counts."""
     warnings: list[str] = field(default_factory=list)
     goal: tuple[float, float] | None = None
-    """Goal of the robot (x, z) [m]."""
+    """Goal position of the robot (x, z) [m]."""
 
 
 def parse_goal(text: str) -> tuple[float, float]:
@@ -312,7 +313,7 @@ def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray
 
 
 def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
-    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`, that before where it stands still."""
+    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`; at rest, the last one."""
     seconds = (time_ns - time_ns[0]) * 1e-9
     reach = max(HEADING_S / 2, float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0)
     ends = [

@@ -26,7 +26,7 @@ NAMES = {
 """Accepted names of columns in lower case, by meaning; the first that a file has is used."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 EPOCH_S = 1e8
-"""Times above this are seconds since 1970, which tells ATC's tables from others of eight numbers."""
+"""Time above which values are seconds since 1970, which distinguishes ATC's tables from others of eight numbers."""
 MAGNI_HZ = 100.0
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?nan\s*", re.IGNORECASE)
 _HEADER_LINES = 200
@@ -36,7 +36,7 @@ _MARKER = re.compile(r"(?P<body>\S+) (?:Centroid_|- \d+ )(?P<axis>[XY])$")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackTable:
-    """Observations of a file, one a row, as the file gives them."""
+    """Observations in a file, one per row."""
 
     layout: str
     """Name of the kind of file."""
@@ -51,9 +51,9 @@ class TrackTable:
     heading: Array | None = None
     """Headings about +z [rad] [N]."""
     unit: str = "m"
-    """Unit that this kind of file has."""
+    """Unit of length in this kind of file."""
     left_out: Sequence[str] = ()
-    """Bodies in the file that are no people."""
+    """Number of bodies in the file that are not people."""
 
 
 def parse_table(text: str, columns: Sequence[str], robot: str, *, path: object) -> TrackTable:
@@ -275,7 +275,7 @@ def _magni(text: str, robot: str, path: object) -> TrackTable:
 
 
 def by_id(ids: Sequence[str]) -> dict[str, NDArray[np.intp]]:
-    """Return the rows of each id, in the order in which ids come."""
+    """Return the rows of each id, in order of first appearance."""
     names, first, code = np.unique(np.array(ids, dtype=str), return_index=True, return_inverse=True)
     order = np.argsort(code, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(code))[:-1])

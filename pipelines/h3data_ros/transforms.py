@@ -1,4 +1,4 @@
-"""Trees of frames over time, as messages of tf2 tell them."""
+"""Trees of frames over time, from messages of tf2."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TransformTree:
         return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
 
     def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
-        """Add the pose [7] of a frame in its parent at a time; ``still`` ones hold for ever."""
+        """Add the pose [7] of a frame in its parent at a time; static (``still``) ones are valid at all times."""
         edge = self._edges.get(child)
         # a frame has one parent for the whole bag, the last one received; poses in other parents are dropped
         if edge is None or edge.parent != parent:
@@ -60,7 +60,7 @@ class TransformTree:
         return most
 
     def connected(self, frame: str, root: str) -> bool:
-        """Return whether two frames hang in the same tree."""
+        """Return whether two frames are in the same tree."""
         return self._chain(frame)[-1] == self._chain(root)[-1]
 
     def poses(self, frame: str, root: str, times: NDArray[np.int64], gap_ns: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Definitions of metrics from what most of them have in common."""
+"""Definitions of metrics with common parts."""
 
 from __future__ import annotations
 

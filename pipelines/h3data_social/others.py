@@ -1,4 +1,4 @@
-"""The people near whom a robot is measured."""
+"""People near a robot, for metrics that measure it near them."""
 
 from __future__ import annotations
 

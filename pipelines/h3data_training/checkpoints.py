@@ -19,7 +19,7 @@ FREE = ("minutes", "updates")
 
 
 def state_of(learner: Learner) -> dict[str, Any]:
-    """Weights, optimizer, random numbers and all worlds. Every process has to call it."""
+    """Return weights, optimizer, random numbers and all worlds. Every process has to call it."""
     m, everyone = learner.memory, learner.ranks.gathered
     return {
         "net": learner.net.state_dict(),
@@ -34,7 +34,7 @@ def state_of(learner: Learner) -> dict[str, Any]:
 
 
 def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
-    """Put a learner where the one of `state_of` was.
+    """Restore a learner to the state from `state_of`.
 
     Raises:
         FormatError: the checkpoint does not fit.
@@ -69,7 +69,7 @@ class PlainSettings(RunLength, Protocol):
 
 
 def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
-    """Return the checkpoint in a file, as `read` reads it; None where there is no file.
+    """Return the checkpoint in a file, as `read` does; None if there is no file.
 
     Raises:
         FormatError, InputError: as `read`, or the run is over.
@@ -87,10 +87,10 @@ def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str
 
 
 def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any]:
-    """Return a checkpoint of the same settings and seed; ``form`` is what its file says that it is.
+    """Return a checkpoint of the same settings and seed; ``form`` is the format that its file must state.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a checkpoint, or is damaged.
         InputError: it is of other settings.
     """
     try:
@@ -116,7 +116,7 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
 
 
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Settings that had another value ``then`` than they have ``now``, in words; empty: none."""
+    """Return the settings that differ between ``then`` and ``now``, in words; empty: none."""
     return "; ".join(
         f"{name}={then.get(name)!r}, not {value!r}" for name, value in now.items() if then.get(name) != value
     )

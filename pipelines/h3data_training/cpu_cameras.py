@@ -26,7 +26,7 @@ def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, 
 
 
 class CpuCameras:
-    """Stands in for `h3data_training.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
+    """CPU version of `h3data_training.torch.cameras.TensorCameras`, which renders world by world."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class CpuCameras:
         self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Poses robots and people in all worlds, as `h3data_training.torch.cameras.TensorCameras.pose` on the CPU."""
+        """Pose robots and people in all worlds, as `h3data_training.torch.cameras.TensorCameras.pose` on the CPU."""
         state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
         robot.put(state.robots[0])
         human.put(state.people[0])

@@ -1,4 +1,4 @@
-"""The learning curve of a run: a table in its folder, and event files that TensorBoard draws."""
+"""Learning curve of a run: a table in its folder, and event files for TensorBoard."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def curve_of(folder: Path) -> list[Row]:
 
 
 class EventLog:
-    """Writes rows of the curve for TensorBoard, over decisions; writes nothing where ``tensorboard`` is not installed."""
+    """Writer of the curve's rows for TensorBoard, over decisions; it does nothing if ``tensorboard`` is not installed."""
 
     def __init__(self, folder: Path, curve: list[Row]) -> None:
         self._writer: Any = None

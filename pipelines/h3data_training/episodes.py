@@ -57,7 +57,7 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
 
 
 def by_home(make: Callable[[Task], Bank], tasks: Sequence[Task], *, workers: int | None = None) -> list[Bank]:
-    """Calls ``make`` for each home, in several processes; None is one for each core, 1 makes it here."""
+    """Call ``make`` for each home, in several processes; None is one for each core, 1 makes it here."""
     count = min(workers or min(len(os.sched_getaffinity(0)), MOST_WORKERS), len(tasks))
     with progress(desc="homes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
 

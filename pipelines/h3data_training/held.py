@@ -51,7 +51,7 @@ class ActionRepeat:
         return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
 
     def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """`repeat_action`, operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
+        """Play `repeat_action` operation by operation, so that a CUDA graph can capture it; a call overwrites the tensors."""
         own = self._shown  # where a graph of these worlds alone writes
         self._action.copy_(action)
         self._eager()

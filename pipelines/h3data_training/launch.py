@@ -1,4 +1,4 @@
-"""Starts the processes of a run that trains on several GPUs, and waits for them."""
+"""Processes of a run that trains on several GPUs: starting them, and waiting for them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 LOOK_S = 0.5
-"""Time between two checks for a request to stop [s]."""
+"""Interval between checks for a request to stop [s]."""
 
 
 class StopRequest(Protocol):

@@ -1,4 +1,4 @@
-"""The policy in PyTorch, with what only training needs: a critic, an auxiliary head, exploration noise.
+"""Policy in PyTorch, with the parts that only training needs: a critic, an auxiliary head, exploration noise.
 
 `sim_kinematic.policies.visual_policy` is the same policy in NumPy.
 """
@@ -59,7 +59,7 @@ def picture(seen: Tensor) -> Tensor:
 def picture_layers(
     name: str, size: tuple[int, int], channels: tuple[int, int, int], features: int
 ) -> tuple[nn.ModuleList, nn.Linear]:
-    """Layers that turn a named picture (width, height) into features: three convolutions, and a linear one."""
+    """Return the layers that turn a named picture (width, height) into features: three convolutions, and a linear one."""
     widths = (PICTURES[name] * PATCH * PATCH, *channels)
     convolutions = nn.ModuleList(
         nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
@@ -68,7 +68,7 @@ def picture_layers(
 
 
 def picture_features(weights: Mapping[str, Tensor], pixels: Tensor) -> Tensor:
-    """Features [n, F] of pictures whose squares are channels, as of `picture`, by weights named as in `picture_arrays`."""
+    """Return features [n, F] of pictures whose squares are channels, as of `picture`, with weights as in `picture_arrays`."""
     x = (pixels if pixels.is_cuda else pixels.float()).contiguous(memory_format=torch.channels_last)
     for k, stride in enumerate(STRIDES):
         x = F.relu(F.conv2d(x, weights[f"conv_{k}.weight"], weights[f"conv_{k}.bias"], stride, 1))
@@ -119,15 +119,15 @@ class ActorCritic(nn.Module):
         return last
 
     def std(self) -> Tensor:
-        """Standard deviation of the exploration noise, for each component of an action."""
+        """Return the standard deviation of the exploration noise, for each component of an action."""
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return a picture [n, H, W, planes] as it is kept in rollouts."""
+        """Return a picture [n, H, W, planes] in the form for rollouts."""
         return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """Inputs of the recurrent layer, [n, F]."""
+        """Return the inputs of the recurrent layer, [n, F]."""
         if pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -144,12 +144,14 @@ class ActorCritic(nn.Module):
         return self.act(torch.cat([known, numbers], -1))
 
     def step(self, pixels: Tensor | None, numbers: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean actions [n, A] and next states [n, S]."""
+        """Return the mean actions [n, A] and next states [n, S]."""
         out, state = self.remember(self.features(pixels, numbers)[None], state)
         return self.head(out[0], numbers), state
 
     def roll(self, x: Tensor, state: Tensor, begins: Tensor) -> Tensor:
-        """Outputs of the recurrent layer [T, B, H] for features [T, B, F], the state [B, S] reset before steps that ``begins``.
+        """Return outputs [T, B, H] of the recurrent layer for features [T, B, F].
+
+        The state [B, S] is reset before steps that ``begins``.
 
         cuDNN cannot reset within a sequence, so parts of episodes are put beside each other and the short ones padded: features
         only, since padding the pictures too took most of the time of an update.
@@ -224,7 +226,7 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return pictures in the form that the network takes."""
+        """Return pictures in the form for the network."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
@@ -244,7 +246,7 @@ class ResNetActorCritic(ActorCritic):
 
 
 def network(settings: Settings) -> ActorCritic:
-    """Fresh weights of what the settings name."""
+    """Return a network with fresh weights, as the settings describe it."""
     return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
 
 

@@ -18,7 +18,8 @@ from h3data_training.torch.graph import captured, keep_row, overwrite
 RANK_SEED = 1_000_003
 """Difference between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
-"""Limit beyond which mean actions are pulled back: past its limits a command changes nothing, so nothing else would."""
+"""Limit beyond which mean actions are pulled back, as beyond its limits a command changes nothing and no gradient does
+it."""
 
 
 class Worlds(Protocol):
@@ -27,13 +28,13 @@ class Worlds(Protocol):
     num_envs: int
     device: torch.device
     totals: Tensor
-    """Sums over worlds and steps, of `counts`."""
+    """Sums over worlds and steps, named by `counts`."""
     counted: Tensor
-    """Worlds that are counted in `totals`, bool [W]; overwritten by the learner."""
+    """True for worlds that are counted in `totals`, bool [W]; overwritten by the learner."""
 
     @property
     def shown(self) -> Tensor | None:
-        """Worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+        """True for worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
         ...
 
     @property
@@ -64,7 +65,7 @@ class Worlds(Protocol):
         ...
 
     def taught(self) -> Tensor:
-        """Actions of a teacher in these states, [W, A]."""
+        """Return the actions of a teacher in these states, [W, A]."""
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
@@ -82,7 +83,7 @@ class Memory:
     last: Tensor
     """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
-    """An episode began in the last decision, bool [W]."""
+    """True if an episode began in the last decision, bool [W]."""
 
     def tensors(self) -> list[Tensor]:
         """Return all tensors, in a fixed order."""

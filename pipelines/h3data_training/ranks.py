@@ -1,4 +1,4 @@
-"""Several processes that train one policy together, one for each GPU: `torch.distributed` behind a few plain functions."""
+"""Distributed training of one policy by several processes, one per GPU: `torch.distributed` behind a few plain functions."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 
 @dataclass(frozen=True)
 class Ranks:
-    """Process among those of a run; alone, every function returns what it is given, unchanged."""
+    """One process among those of a run; if it is the only one, every function returns its argument unchanged."""
 
     rank: int = 0
     count: int = 1
 
     @property
     def is_first(self) -> bool:
-        """Return whether this process writes the files and speaks."""
+        """Return whether this process writes the files and prints messages."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
@@ -81,7 +81,7 @@ class Ranks:
 
 
 def torchrun_place() -> tuple[int, int] | None:
-    """Rank and number of processes that torchrun gave this process, None where it did not start it."""
+    """Return the rank and number of processes from torchrun, None if it did not start this process."""
     if any(name not in os.environ for name in TORCHRUN):
         return None
     return int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])

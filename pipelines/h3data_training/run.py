@@ -56,7 +56,7 @@ def train(
     bank: Bank | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Train until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and save.
+    """Train until the run is over, ``stop_after`` minutes have passed, or an interruption, and save.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
     updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
@@ -166,7 +166,7 @@ def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
 ) -> ActionRepeatEnv | ActionRepeatSkills:
-    """Return the worlds that settings ask for, in the episodes of a bank."""
+    """Return the worlds for settings, in the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
         return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)

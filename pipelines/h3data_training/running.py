@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 
 
 class RunLength(Protocol):
-    """Settings that say how long a run is."""
+    """Settings of the length of a run."""
 
     @property
     def updates(self) -> int:
@@ -94,7 +94,7 @@ def stop_asked() -> Iterator[threading.Event]:
 
 @contextmanager
 def one_thread(device: str) -> Iterator[None]:
-    """Limits PyTorch to one thread on the CPU.
+    """Limit PyTorch to one thread on the CPU.
 
     The tensors are small: next to other processes, several threads spend most of the time waiting for each other (145
     decisions per second instead of 6,000).

@@ -15,7 +15,7 @@ from sim_kinematic.tasks.social_nav import SocialNav
 
 NETWORKS = ("cnn_gru", "resnet18_lstm")
 CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
-"""Inputs of the critic of social navigation."""
+"""Names of the inputs of the critic of social navigation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Settings:
     episodes_per_home: int = 28
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)
-    """Width and height [pixels], multiples of 4."""
+    """Width and height of pictures [pixels], multiples of 4."""
     light: LightMode = "flat"
     """Light in ``arm_rgb``: ``flat`` or ``baked``. The policy is shown the same wherever it plays."""
     robot: str = "quad_arm"
@@ -35,20 +35,22 @@ class Settings:
     walk: str = "natural"
     """Walk of people: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
     follow_steps: int = 0
-    """An episode is cut short after so many steps of following, as if its time were over: else most of what a rollout holds is
-    following, and little is finding. 0: never."""
+    """Number of steps of following after which an episode is cut short, as if its time were over: most of a rollout
+    would otherwise be following, and little of it finding. 0: never."""
     worlds: int = 4096
     rollout: int = 32
     """Number of decisions per world between two updates."""
     hold: int = 3
-    """Steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches farther. Holding for 3
-    costs a follower trained for 1 most of its distance keeping at the paper's 2.5 m/s, less at a walking speed."""
+    """Number of steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches
+    farther. Holding for 3 costs a follower trained for 1 most of its ability to keep its distance at the paper's 2.5
+    m/s, less at a walking speed."""
 
     network: str = "cnn_gru"
-    """``cnn_gru``: three convolutions and a GRU. ``resnet18_lstm``: the paper's, with ``channels[0]`` planes at first."""
+    """Type of the network. ``cnn_gru``: three convolutions and a GRU. ``resnet18_lstm``: the paper's, with
+    ``channels[0]`` planes at first."""
     channels: tuple[int, int, int] = (32, 64, 64)
     features: int = 256
-    """Number of numbers that are left of a picture."""
+    """Number of values that represent a picture."""
     hidden: int = 256
     """Size of the recurrent state."""
     act_width: int = 256
@@ -63,26 +65,27 @@ class Settings:
     """Share of the learning rate that is left at the end."""
     warmup_updates: int = 15
     critic_updates: int = 0
-    """Number of updates in which only the critic learns: it is new where the actor comes from a file."""
+    """Number of updates in which only the critic learns, as it is new if the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
     """Standard deviation of the exploration noise at the start."""
     least_std: float = 0.1
     """Least standard deviation of the exploration noise."""
     horizon: tuple[float, float] = (150.0, 500.0)
-    """Steps that the value looks ahead, at the start and at the end: finding the person comes before never touching them."""
+    """Number of steps that the value looks ahead, at the start and at the end: finding the person is learned before
+    avoiding contact."""
     gae_lambda: float = 0.95
     clip: float = 0.2
     gradient_norm: float = 1.0
     teacher: float = 0.0
     """Weight of the actions of a scripted teacher at the start; for tasks that have one."""
     teacher_end: float = 0.6
-    """Share of the run at which that weight has come down to 0."""
+    """Share of the run after which that weight is 0."""
     auxiliary: float = 0.5
     """Weight of the head that predicts the critic's inputs from the recurrent state."""
     near_m: float = 3.0
-    """Advantages are centred and scaled apart for worlds nearer and farther than this: beside the person a step pays 30 times
-    as much as on the way to them. 0 scales all alike."""
+    """Distance from the person that separates two groups of worlds, within which advantages are centred and scaled [m]:
+    near the person a step pays 30 times as much as on the path to them. 0 scales all alike."""
 
     updates: int = 0
     """Length of the run in updates; 0: ``minutes`` decides."""
@@ -161,7 +164,7 @@ class Settings:
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Observations that are pictures, of which the actor may be shown one."""
+        """Names of observations that are pictures; the actor may have one of them."""
         return tuple(PICTURES)
 
     @property
@@ -171,7 +174,7 @@ class Settings:
 
     @property
     def vector_observations(self) -> tuple[str, ...]:
-        """Observations that the actor may be told beside a picture, or without one."""
+        """Names of observations that the actor may have besides a picture, or without one."""
         return OF_SOCIAL_NAV
 
     @property
@@ -181,7 +184,7 @@ class Settings:
 
     @property
     def first_action(self) -> tuple[float, ...]:
-        """The action that an actor explores around at first: standing still."""
+        """Action around which an actor explores at first: standing still."""
         return (0.0,) * BASE_ACTIONS
 
     @property
@@ -195,7 +198,7 @@ class Settings:
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:
-        """Return settings for a trained actor: the critic alone learns at first, and there is less left to explore."""
+        """Return settings for a trained actor: the critic learns alone at first, and there is less exploration."""
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
@@ -209,7 +212,7 @@ class Settings:
         return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as they stand in checkpoints and cards."""
+        """Return the settings as plain values, as in checkpoints and cards."""
         return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
 
 
@@ -250,8 +253,9 @@ RECIPES: dict[str, Settings] = {
         minutes=10.0,
     ),
 }
-"""``paper``: as published, except that the critic observes the map, and the learning rate falls. ``fast``: one GPU,
-minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions of the person and walls."""
+"""Recipes by name. ``paper``: as published, except that the critic observes the map, and the learning rate falls.
+``fast``: one GPU, minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions of the person and
+walls."""
 
 
 def recipe(name: str, **changes: Any) -> Settings:

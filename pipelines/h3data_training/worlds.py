@@ -22,7 +22,7 @@ from h3data_training.torch.graph import can_fuse, fused, overwrite
 from h3data_training.torch.social_nav import SocialNavTensors
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
-"""Sums over worlds and steps that `ActionRepeatEnv.totals` keeps."""
+"""Names of the sums over worlds and steps in `ActionRepeatEnv.totals`."""
 
 
 class ActionRepeatEnv(ActionRepeat):
@@ -141,5 +141,5 @@ class ActionRepeatEnv(ActionRepeat):
         }
 
     def taught(self) -> Tensor:
-        """Return None, because nobody teaches social navigation."""
+        """Return None, because social navigation has no teacher."""
         raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

@@ -1,1 +1,1 @@
-"""Homes in the files of other makers (`usd`, `procthor`), robots in MJCF (`mjcf`) or without settings (`robot_guess`)."""
+"""Homes in the files of other programs (`usd`, `procthor`), robots in MJCF (`mjcf`) or without settings (`robot_guess`)."""

@@ -1,4 +1,4 @@
-"""Cache of converted scenes of other makers: a result is used until one of its files changes."""
+"""Cache of converted scenes of other formats: a result is used until one of its files changes."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ log = logging.getLogger(__name__)
 VERSION = 1
 """Version that is part of every key: raise it when a reader changes its results."""
 ROOM_BYTES = 4e9
-"""Size of all conversions above which the least recently used ones are deleted [bytes]."""
+"""Total size of conversions above which the least recently used ones are deleted [bytes]."""
 _LICENCES = ("license", "licence", "copying", "notice")
 _SHOWN_CHARACTERS = 2000
 
 
 def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene, Sequence[str] | None]]) -> Scene:
-    """Return the scene of a file: from the cache, else by ``read``, which then also gives the files on which it depends.
+    """Return the scene of a file: from the cache, else by ``read``, which then also returns the files on which it depends.
 
     The licence beside the file is printed when it is converted, and is ``licence`` in `Scene.source`.
 

@@ -40,14 +40,14 @@ from h3data.mesh.thinning import thin_mesh
 _log = logging.getLogger(__name__)
 
 MAX_TRIANGLES = 20_000
-"""Largest number of triangles of all meshes that are shown together; above it, all are thinned alike."""
+"""Largest number of triangles of all visible meshes; above it, all are thinned alike."""
 LEAST_VERTICES = 40
 """Least number of vertices of a mesh that is thinned."""
 ROUNDS = 4
 MAX_ASSET_BYTES = 1 << 30
-"""Bytes of all meshes and pictures of a model together; more is refused."""
+"""Largest size of all meshes and pictures of a model together [bytes]."""
 MAX_SIDE = 8192
-"""Largest number of rows or columns of pictures and height fields that the file itself makes."""
+"""Largest number of rows or columns of pictures and height fields that the file generates."""
 FOLDERS_UP = 2
 """Largest number of folders above a model in which its files may lie."""
 FARTHEST_M = 1e4
@@ -112,7 +112,7 @@ def licence_of(path: Path) -> str:
 
 # --- the files of a model ---------------------------------------------------------------------------------------------
 def mjcf_files(path: Path) -> list[Path]:
-    """Return the model, what it includes, and the meshes and pictures that these name, each once.
+    """Return the model, its included files, and the meshes and pictures that these name, each once.
 
     Raises:
         InputError: There is no such file.
@@ -571,4 +571,4 @@ def _matrix(position: Array, quaternion: Array) -> Array:
 
 
 READER = RobotReader(read=read_mjcf, files=mjcf_files)
-"""MJCF among the files of robots: an entry point of the group ``h3data.robot_files``."""
+"""Reader of MJCF files of robots: an entry point of the group ``h3data.robot_files``."""

@@ -28,7 +28,7 @@ from h3data.scene.sources import SceneFile, SceneReader
 
 DATABASE = "asset-database.json"
 BYTES_MAX = 64_000_000
-"""Size of the largest file that is read."""
+"""Largest size of a file that is read [bytes]."""
 BOXES_MAX = 50_000
 WALL_M = 0.06
 """Thickness of walls, which have none in the file [m]."""
@@ -36,7 +36,7 @@ FLAT_M = 0.03
 """Height below which nothing collides with things, such as rugs [m]."""
 SCHEMA = "1.0.0"
 PLACE_MAX_M = 300.0
-"""Greatest coordinate that is taken for one of a house [m]."""
+"""Greatest coordinate of things in a house [m]."""
 _FLOOR, _WALL, _THING = (205, 203, 198), (232, 230, 226), (176, 160, 140)
 _UPRIGHT = np.array([0, 0, 0, 0, 0, 0, 1.0])
 

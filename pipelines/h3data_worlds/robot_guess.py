@@ -1,4 +1,4 @@
-"""Settings of a robot guessed from its URDF: a first ``robot.toml`` to edit, and what is used without one.
+"""Settings of a robot guessed from its URDF: a first ``robot.toml`` to edit, and the defaults without one.
 
 Guesses are geometric where geometry decides (base, height, resting posture) and by name where it does not (hand, cameras).
 """
@@ -21,7 +21,7 @@ from h3data_worlds.robot_posture import compact_posture
 from h3data_worlds.shape_points import shape_points
 
 HANDS = (r"gripper|hand|palm", r"tool|tcp|eef?\b|end_?effector|grasp")
-"""Names of links that grasp, the most telling first."""
+"""Names of links that grasp, the most specific first."""
 NOT_HANDS = r"finger|thumb|jaw|knuckle|pad|tip\b|camera|optical|wheel|leg|foot|toe|head|caster"
 EYES = r"camera|optical|rgb|eye|head"
 MOST_LINKS = 300
@@ -31,9 +31,10 @@ LEAST_ARM_JOINTS = 4
 BASE_TOP_M = 0.35
 """Height below which the lowest point of a part lies that belongs to the base's footprint [m]."""
 TIGHT = 1.25
-"""Discs of a row are wide enough at this many times half the width of the base; more discs would be hardly narrower."""
+"""Multiple of half the width of the base at which the discs of a row are wide enough; more discs would be hardly
+narrower."""
 MOST_SEGMENTS = 10_000
-"""Number of pieces into which the outline of a base is cut at most, as for that of a ground plane."""
+"""Largest number of pieces into which the outline of a base is cut, such as that of a ground plane."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
 WIDEST_M = 0.36
@@ -41,10 +42,10 @@ WIDEST_M = 0.36
 HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
 """Place of the camera of a hand above the hand's shapes and behind its load, and the distance of the point that it looks at."""
 SHELLS = 4
-"""Shapes, one around the other, out of which a camera is moved at most."""
+"""Largest number of shapes, one around the other, out of which a camera is moved."""
 LENS_M = 0.01
 SNAP = 0.9
-"""Least cosine between a direction and an axis of its link with which the axis is used instead (26 degrees)."""
+"""Cosine between a direction and an axis of its link above which the axis is used instead (26 degrees)."""
 
 
 class Hand(NamedTuple):

@@ -1,4 +1,4 @@
-"""A resting posture for an arm: folded over its base, so that the robot passes where its base passes."""
+"""Resting posture for an arm: folded over its base, so that the robot passes where its base passes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from h3data.geometry import IDENTITY_POSE, Array, transform_points
 from h3data.scene.shape_bounds import shape_bounds
 
 SAMPLES, KEPT, ROUNDS = 2000, 6, 30
-"""Random postures, the best of them, and rounds in which these are improved: about a second for an arm of eight joints."""
+"""Number of random postures, number of the best of them, and number of rounds that improve these: about a second for an
+arm of eight joints."""
 FLOOR_M = 0.15
 """Height below which no part of the arm should be."""
 SPARE_M = 0.03
 """Distance that the arm keeps from the body and from itself."""
 BODY_WEIGHT, SELF_WEIGHT = 10.0, 4.0
-"""Metres beyond the base that a metre inside the body, or inside the arm itself, is worth, added up over points."""
+"""Weights of a metre inside the body, or inside the arm itself, added up over points, compared with a metre beyond the
+base."""
 
 
 def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array, reach_m: float) -> Array:

@@ -1,4 +1,4 @@
-"""The configuration ``--env.type=h3data`` of lerobot."""
+"""Configuration ``--env.type=h3data`` of lerobot."""
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from lerobot_env_h3data.env import PIXELS, PREFIX, STATE, LeRobotEnv
 @EnvConfig.register_subclass("h3data")
 @dataclass
 class H3DataEnvConfig(EnvConfig):
-    """Configuration of an environment that shows a policy what a dataset held."""
+    """Configuration of an environment that shows a policy the observations of a dataset."""
 
     dataset: str | None = None
     """Folder of the dataset, written by ``h3data export --to lerobot``."""
     scenes: str | None = None
     """Homes of new episodes, with commas between: names such as h3-homes/test (default: those of the dataset)."""
     episodes: str = "sampled"
-    """``sampled``: new episodes. ``recorded``: those of the dataset; seed k begins number k."""
+    """Kind of episodes. ``sampled``: new ones. ``recorded``: those of the dataset; seed k begins number k."""
     cameras: str | None = None
     """Cameras to show, with commas between (default: all of the dataset)."""
     max_steps: int | None = None

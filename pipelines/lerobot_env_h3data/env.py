@@ -1,4 +1,4 @@
-"""`h3data.envs.DatasetEnv` in the form in which LeRobot expects environments."""
+"""Environment `h3data.envs.DatasetEnv` in the form that LeRobot expects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PREFIX = "observation.images."
 
 
 class LeRobotEnv(gymnasium.Env[Any, Any]):
-    """Environment of one world in which a policy acts that LeRobot has trained.
+    """Environment of one world for a policy that LeRobot has trained.
 
     Observations are ``agent_pos`` [S] float32 and, where there are cameras, ``pixels`` {CAMERA: uint8 [H, W, 3]}.
     """
@@ -55,7 +55,7 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         return _sorted(shown, dict), info
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Act for 1/30 s; ``info["is_success"]`` says whether there was success by now.
+        """Act for 1/30 s; ``info["is_success"]`` states whether the episode has succeeded so far.
 
         Raises:
             InputError: the action has another shape or a number that is not finite; then nothing has moved.

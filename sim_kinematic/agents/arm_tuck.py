@@ -25,17 +25,17 @@ from sim_kinematic.motion.state import HumanState
 ROUNDING = 1e-9
 """Tolerance in the comparisons of `_draw_in_worlds`, far above what rounding can cause."""
 BLOCK = 256
-"""Number of lines that are followed together: their numbers fit into the first cache."""
+"""Number of lines that are followed together, so that their numbers fit into the first cache."""
 LOOKS = 3
-"""Number of looks after which finished lines are sorted out, which saves a tenth of the time. Later looks change
-nothing: a line is finished when no further look can change its arm."""
+"""Number of steps after which finished lines are removed, which saves a tenth of the time. Later steps change nothing:
+a line is finished when none can change its arm."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
-"""A hand that carries something is held out where this much room is around its palm, and close to the body where only this
-much is: hand and object reach 8 to 10 cm beyond the palm."""
+"""Room around the palm with which a hand that carries something is held out, and room with which it is close to the
+body [m]: hand and object reach 8 to 10 cm beyond the palm."""
 FAN, ONWARD = np.linspace(-1.0, 1.0, 9) * 1.2, np.array([0.25, 0.5, 0.75])
-"""Turns of the body [rad], and distances straight ahead [m], that are looked ahead."""
+"""Turns of the body [rad], and distances straight ahead [m], at which room is measured in advance."""
 
 
 @kernel(error_model="numpy")

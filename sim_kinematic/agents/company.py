@@ -1,4 +1,4 @@
-"""Protocol of the agents of one world as one of them sees them: `sim_kinematic.agents.giving_way.GivingWay`."""
+"""Protocol for one agent's access to the others of its world: `sim_kinematic.agents.giving_way.GivingWay`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ class Company(Protocol):
     """Agents of one world, by number."""
 
     agreed: bool
-    """All step aside for each other when they are asked."""
+    """True if all agents step aside for each other when they are asked."""
     solid: bool
-    """People who are driven from outside slide along the discs of the others."""
+    """True if people who are driven from outside slide along the discs of the others."""
     # untyped, because the modules of the actors import this one
     actors: Sequence[Any]
     bodies: list[Any]
@@ -24,15 +24,15 @@ class Company(Protocol):
         ...
 
     def comes_too_near(self, me: Any) -> bool:
-        """Return whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than allowed in this step."""
         ...
 
     def discs_of(self, number: int) -> Array:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent."""
         ...
 
     def discs_beside(self, number: int) -> Array:
-        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of all agents but one."""
         ...
 
     def frames(self) -> list[Array]:

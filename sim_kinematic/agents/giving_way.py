@@ -1,4 +1,4 @@
-"""Mutual attention of the agents of one world: what they see of each other, who makes way for whom, who touches.
+"""Mutual attention of the agents of one world: observation of each other, giving way, and contact.
 
 They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
 """
@@ -130,7 +130,7 @@ class GivingWay:
             self.right_of_way.update(carrying)
 
     def begin_turn(self, me: AnyActor) -> None:
-        """Show an agent where the others are and how they move, before it makes its own step."""
+        """Update an agent's view of the others and their motion before its own step."""
         seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
         if len(seen) > 1:
             # stable: agents at the same distance keep the order of their numbers on every machine
@@ -156,7 +156,7 @@ class GivingWay:
         return self._seen[number]
 
     def end_turn(self, number: int) -> None:
-        """Take note that an agent has acted and has moved."""
+        """Store that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
         self._at[number] = self.actors[number].xz.tolist()
@@ -174,19 +174,19 @@ class GivingWay:
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; for a robot, those with an empty hand."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; a robot's without what it holds."""
         actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
         if isinstance(actor, RobotActor):
             offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def discs_beside(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now."""
+        """Return the present discs ``(x, z, radius)`` [N, 3] of all agents but one."""
         discs = [self.discs_of(other.number) for other in self.actors if other.number != number]
         return np.concatenate([np.zeros((0, 3)), *discs])
 
     def comes_too_near(self, me: AnyActor) -> bool:
-        """Return whether a person has come nearer to the discs of others than they may in this step."""
+        """Return whether a person has come nearer to the discs of others than allowed in this step."""
         discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
         # never more than the gap that there was: whoever is too near already may stay, and leave
         least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
@@ -202,7 +202,7 @@ class GivingWay:
         ]
 
     def end_step(self) -> None:
-        """Notes where all agents are after a step, and which of them touch."""
+        """Store the places of all agents after a step, and which of them touch."""
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1

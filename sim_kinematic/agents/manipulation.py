@@ -83,7 +83,7 @@ def _checked_joints(state: RobotState, robot: Robot) -> NDArray[np.float64]:
 # --- objects in a hand --------------------------------------------------------------------------------------------------
 @kernel(error_model="numpy")
 def nearest_free(hand, object_pose, held_by, nobody):
-    """``(index, distance [m])`` of the object nearest to a hand [4, 4] that nobody holds, -1 if there is none."""
+    """Return ``(index, distance [m])`` of the free object nearest to a hand [4, 4], -1 if there is none."""
     best, distance = -1, math.inf
     for o in range(len(held_by)):
         if held_by[o] == nobody:

@@ -63,7 +63,7 @@ CARRY = (0.27, 0.80, 0.15)
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 SNAP_M = 0.01
-"""Distance from its palm within which a hand takes hold of an object [m]."""
+"""Distance from the palm within which a hand takes hold of an object [m]."""
 EASE_M, JOINT_STEP_RAD = 0.08, 0.18
 """Part of the path over which the trunk goes from standing to reaching [m], where an empty hand may leave its line by 8 mm;
 largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed it."""
@@ -71,17 +71,17 @@ SETTLE_STEPS, CLOSE_ENOUGH = 45, 0.1
 """Number of steps within which feet get to their standing places; remaining distance from the carrying pose, as a share, at
 which a person begins to walk."""
 FADE_STEPS = 12
-"""Steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
-it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
+"""Number of steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end
+is exact. Without it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
-"""Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
+"""Radius that a hand closes around if no size is known, and the range of possible radii [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
 """Length and half thickness of a bone of a finger [m]."""
 REST_CURL, OPEN_CURL, HANDLE_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 0.9, 1.1, 0.12
 """Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, around a handle, at
 most, and by which it changes in a step."""
 CLOSES_FROM = 0.8
-"""Share of the path to a thing from which on a hand closes."""
+"""Share of the path to a thing after which a hand begins to close."""
 ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
     side: np.array(
         [
@@ -94,7 +94,8 @@ ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
 """Joints from above the pelvis to each wrist."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
-"""The hand sets off after this many steps at most, or when the head has less than this left to turn."""
+"""Largest number of steps that the hand waits for the head, and remaining turn of the head below which it sets off
+[rad]."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -104,11 +105,12 @@ class MotionResult:
 
     success: bool
     reason: str = ""
-    """Reason why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
+    """Reason for the failure: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
+    """Distance from the target to the hand (or the object that it puts down), where it is or where it would be nearest
+    [m]."""
     base_motion: BaseMotion | None = None
-    """Motion to a place from which the target is reached (see `Person.approach`); None when that does not help either."""
+    """Motion to a place from which the target is reached (see `Person.approach`); None if no such motion helps."""
 
 
 Skill = Generator[object, None, MotionResult]
@@ -118,9 +120,9 @@ class Frame(NamedTuple):
     """State of a person in one step: the free-form pose columns of a recording, and the objects."""
 
     base: Array
-    """Agent root, pose7 [7]."""
+    """Pose (pose7) of the agent root [7]."""
     root: Array
-    """Pelvis in the world, pose7 [7]."""
+    """Pose (pose7) of the pelvis in the world [7]."""
     joints: Array
     """Local rotations of the other joints, shape [54, 4]."""
     objects: dict[str, Array]
@@ -141,16 +143,16 @@ class Transition(NamedTuple):
     """Progress of a person from one kind of motion to another, such as from walking to reaching."""
 
     kind: str = ""
-    """Kind of the last pose: ``walk``, ``reach``, or nothing where it was set from outside."""
+    """Kind of the last pose: ``walk``, ``reach``, or empty if it was set from outside."""
     quats: Array | None = None
-    """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
+    """Last pose [55, 4] of the previous kind of motion; None if there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """Share of the last pose that is still blended in, from 1 to 0."""
+    """Remaining share of that pose in the blend, from 1 to 0."""
 
 
 class Person:
-    """A humanoid somewhere, with a pose, and the objects that it can take."""
+    """A humanoid with a place and a pose in the world, and the objects that it can take."""
 
     call: ClassVar[Entries] = Entries()
     """Kernels called with poses: those of all people are contiguous and float64."""
@@ -229,7 +231,7 @@ class Person:
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
-        """Sets the joints of the body; objects in the hands follow.
+        """Set the joints of the body; objects in the hands follow.
 
         Args:
             quats: local rotations [55, 4], that of the pelvis in the agent root frame, as `Humanoid.clip_pose` returns them.
@@ -282,7 +284,7 @@ class Person:
 
     # --- a hand's target --------------------------------------------------------------------------------------------
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
-        """Put a palm at a world position [3] at once, or as near to it as it gets; the result says which."""
+        """Move a palm to a world position [3] at once, or as near to it as possible; the result states which."""
         result = reach(self.body, self.seen(position), hand)
         # at once: an arm that is let out by small steps would keep the palm off its place
         self._drawn.arms[0, HANDS.index(hand)] = 0.0
@@ -312,7 +314,7 @@ class Person:
         return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
-        """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
+        """Step until both feet stand where they belong; do nothing if they do, or if the root was moved by others."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
         for _ in range(SETTLE_STEPS):
@@ -414,7 +416,7 @@ class Person:
         return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
-        """Skill that grasps a handle, leads it along a path, and takes the hand back.
+        """Grasp a handle, lead it along a path, and take the hand back.
 
         Args:
             points: world points of the path [T, 3], the first at the handle; the hand follows them as far as the arm reaches.
@@ -451,11 +453,11 @@ class Person:
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
-        """A world position [3] in the agent root frame."""
+        """Transform a world position [3] into the agent root frame."""
         return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """Poses of the body while a hand moves to a world position [3], in the agent root frame.
+        """Return poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
         """
@@ -520,7 +522,7 @@ class Person:
         self.transition = Transition("walk")
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """Makes one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
+        """Make one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
 
         Hands that hold something keep carrying it.
         """
@@ -540,7 +542,7 @@ class Person:
         self.transition = Transition()
 
     def show(self, kind: str, quats: Array, pelvis: Array) -> None:
-        """Takes a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
+        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
 
         The feet stay where walking has put them.
         """
@@ -603,7 +605,7 @@ class Person:
                 return
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
-        """Returns a pose [55, 4] with the arms folded in by one step where there is little room.
+        """Return a pose [55, 4] with the arms folded in by one step where there is little room.
 
         An arm that holds something and is not ``moving`` keeps carrying it, close to the body where there is little
         room.
@@ -686,7 +688,7 @@ def _unreached(answer: ReachResult) -> MotionResult:
 
 
 def joint_steps(quats: Array) -> Array:
-    """Returns how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
+    """Return how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
     # the absolute value, because q and -q are the same rotation
     return 2 * np.arccos(np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1.0))
 

@@ -1,4 +1,4 @@
-"""Room to reach: whether a person who stands somewhere gets a hand to a point without the body in the walls or furniture.
+"""Room to reach: tests whether a standing person can bring a hand to a point with the body clear of walls and furniture.
 
 The collision capsules are posed along the hand's path (`Person.hand_path`) and asked of FCL against the static scene,
 thinner by `TOLERANCE_M`: what then touches is deeper than that.
@@ -24,13 +24,15 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 WAYS_KEPT, ANSWERS_KEPT = 1000, 10_000
-"""Paths of a body's hand that are remembered, 30 kB each, and answers, 300 bytes each. A home has about 500 paths: one for each
-height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
+"""Number of cached paths of a body's hand, 30 kB each, and of cached answers, 300 bytes each. A home has about 500
+paths: one for each height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went
+into computing them again."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
 }
-"""Parts of the body that may be inside the thing on which the point lies, as an object on a shelf is taken from inside it."""
+"""Parts of the body that may be inside the furniture with the point, as an object on a shelf is taken from inside
+it."""
 
 
 class _Part(NamedTuple):
@@ -62,7 +64,7 @@ class BodyClearance:
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
-        """Returns whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        """Return whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:
@@ -117,5 +119,5 @@ def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
 
 @lru_cache(maxsize=8)
 def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> BodyClearance:
-    """Clearance of a body in a scene, cached for each scene and body."""
+    """Return the clearance of a body in a scene, cached for each scene and body."""
     return BodyClearance(scene, body, floor_y)

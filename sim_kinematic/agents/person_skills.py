@@ -34,9 +34,10 @@ from sim_kinematic.motion.stride import CREEP_MPS, Strider
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Number of steps in which a person cannot step aside without touching somebody, and number of steps that they then go back."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
-"""Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
+"""Speeds at which people step sideways and back: without turning, and while they turn in their direction of motion
+[m/s]."""
 ASIDE_LEG_M = 0.05
-"""Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
+"""Least distance between points of a path aside [m]: people would brake at every point of a rounded corner."""
 HALT_STEPS, TURN_PATIENCE_STEPS = 30, 10
 """Number of steps in which a walking person who is asked to turn comes to a stand, and for which they wait for room to turn on
 the spot; after them they turn while walking."""
@@ -60,7 +61,7 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """Person with skills, who uses the right hand, or the left one where the right one cannot reach.
+    """Person with skills, who uses the right hand, or the left one if the right one cannot reach.
 
     The person gives way to the agents in ``others``. Alone with one robot it is empty, as people in Habitat do not give
     way to robots.
@@ -71,13 +72,13 @@ class PersonActor:
     spec: WalkerSpec
     objects: Objects
     number: int = HUMAN
-    """Number of the agent."""
+    """Index of the agent."""
     room: BodyClearance | None = None
     """Check of the room for the body; None: nothing is checked."""
     others: tuple[ObservedAgent, ...] = ()
-    """Other agents that the person gives way to, the nearest first."""
+    """Other agents to which the person gives way, the nearest first."""
     company: Company | None = None
-    """Agents that the person gives way to, itself included; None: it is alone."""
+    """Agents to which the person gives way, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -99,7 +100,7 @@ class PersonActor:
         """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     def meets(self) -> bool:
-        """Returns whether the person touches somebody now: then they stay where they were."""
+        """Return whether the person touches somebody now, so that both stay where they were."""
         return self.company is not None and self.company.meets(self)
 
     @property
@@ -138,17 +139,17 @@ class PersonActor:
 
     @property
     def hand_pose(self) -> Array:
-        """Return the pose (pose7) in the world of the palm that holds something, else of the right palm."""
+        """Return the pose (pose7) in the world of the palm that holds an object, else of the right palm."""
         holding = tuple(self.person.held)
         return self.person.palm(holding[0] if holding else "right")
 
     @property
     def arm(self) -> NDArray:
-        """People have no joints that could be driven, [0]."""
+        """Positions of the arm's driven joints: none for people, [0]."""
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         why = self.objects.why_not(self.number, action)
@@ -242,7 +243,7 @@ class PersonActor:
         return (yield from self._go_to(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
-        """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
         free = free or self.free
         # the floor is a part of the key, as a door that opens replaces it (`walk_on`)
         known = free, hand, island_of(free, self.xz), point.tobytes()
@@ -251,7 +252,7 @@ class PersonActor:
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Stands for either hand on the floor ``free``."""
+        """Return stands for either hand on the floor ``free``."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:

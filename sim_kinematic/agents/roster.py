@@ -32,14 +32,14 @@ class AgentSpec:
 
     kind: Kind
     name: str
-    """Name in recordings: the kind, numbered where there are several of it."""
+    """Name in recordings: the kind, numbered if there are several of it."""
     model: str
     """Name of a body or a path, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
-    """The map on which all agents of an episode can get everywhere: without its stairs if one of them cannot climb those."""
+    """Return the map on which all agents of an episode can move: without its stairs if one of them cannot climb."""
     return free if all(member.body.climbs_stairs for member in roster) else free.without_stairs
 
 
@@ -90,7 +90,7 @@ def with_body(human: str | None, body: str) -> str:
 
 
 def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
-    """Return agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
+    """Return agents of `make_roster` in which people named by their body have the gait ``motion`` (``+walk.npz``)."""
 
     def is_named(name: str) -> bool:
         kind, colon, model = name.partition(":")
@@ -149,7 +149,7 @@ def sample_places(
     rules: BaseSpec,
     taken: Mapping[int, Array] | None = None,
 ) -> Array:
-    """Samples where each agent starts, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
+    """Sample starts of agents, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
 
     A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of furniture.
     ``taken`` are places that are already given, by number.

@@ -1,4 +1,4 @@
-"""People under control who sit down, sit and get up: motion of a `sim_kinematic.agents.person.Person` on a seat of a home."""
+"""Sitting down, sitting and getting up of people under control: motion of a `sim_kinematic.agents.person.Person` on a seat."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim_kinematic.motion.state import HumanState
 
 
 def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
-    """Skill that sits down from where the person stands before a seat, sits for some time, gets up and steps away."""
+    """Sit down from the place in front of a seat, sit for some time, get up and step away."""
     floor = person.walk.tables
     # feet that keep out of furniture would be pushed away from the seat that they stand close to
     person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)

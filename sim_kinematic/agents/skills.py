@@ -1,4 +1,4 @@
-"""Skills that a task's agents can be given: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+"""Skills of a task's agents: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
 
 A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
 pre-conditions are checked; an infeasible one is a no-op that is reported.
@@ -39,11 +39,11 @@ PRIMITIVES = {
 }
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
-"""Skill that is one step of a robot's lower layer: base, arm and hand by `Action.command`."""
+"""Skill of one step of a robot's lower layer: base, arm and hand by `Action.command`."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
-"""Skills in homes with things that open; their target is the number of a joint."""
+"""Skills in homes with doors and drawers that open; their target is the number of a joint."""
 SIT = "sit"
-"""Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
+"""Skill of a person who is driven from outside: walk to the nearest seat and sit there until another command."""
 SEARCH = "nav_to_place"
 """Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
 ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
@@ -82,7 +82,7 @@ REASONS = {
     "too_far": "It is too far away to reach from here.",
     "wrong_object": "The hand took something else.",
 }
-"""Sentences for the short words that recordings hold about skills that were refused or failed."""
+"""Sentences for the short words in recordings about skills that were refused or failed."""
 
 
 def sentence(reason: str) -> str:
@@ -106,16 +106,16 @@ class Action(NamedTuple):
 
 
 INSIDE = "inside "
-"""Begins the names of places behind doors and in drawers."""
+"""Beginning of the names of places behind doors and in drawers."""
 
 
 class Destination(NamedTuple):
-    """`Action.command` of a ``wait`` of no steps that gives its object another goal, where the task allows it."""
+    """Command (`Action.command`) of a ``wait`` of no steps that assigns another goal to its object, if the task allows it."""
 
     place: str
     """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
     next_to: str = ""
-    """Name of the object next to which it goes; empty: anywhere."""
+    """Name of the object next to which it has to be put; empty: anywhere."""
 
     def __str__(self) -> str:
         return f"{self.place} next to {self.next_to}" if self.next_to else self.place
@@ -128,19 +128,19 @@ class Destination(NamedTuple):
 
 
 LONGEST_MESSAGE = 500
-"""Number of characters of a message, at most."""
+"""Largest number of characters of a message."""
 
 
 class Message(NamedTuple):
-    """`Action.command` of a ``wait`` of no steps that sends a message to other agents."""
+    """Command (`Action.command`) of a ``wait`` of no steps that sends a message to other agents."""
 
     text: str
     to: str = ""
-    """Name of the agent who hears it; empty: all do."""
+    """Name of the agent that receives it; empty: all agents."""
 
     @property
     def action(self) -> Action:
-        """The choice by which an agent says this; it takes no time."""
+        """Choice by which an agent sends this message; it takes no time."""
         return Action("wait", -1, 0, self)
 
     def check(self, names: Sequence[str]) -> None:
@@ -184,7 +184,7 @@ def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) ->
 
 
 class LearnedSkill(Protocol):
-    """A skill that a network carries out instead of the one that knows all."""
+    """A skill that a network carries out instead of the scripted one, which knows the whole state."""
 
     def infeasible(self, actor: Any, action: Action) -> str:
         """Return the reason why the skill cannot start now, beyond what `Objects.why_not` says; empty if it can."""
@@ -197,24 +197,25 @@ class LearnedSkill(Protocol):
 
 @dataclass(eq=False)
 class Objects:
-    """The objects of the task, shared by all actors."""
+    """Objects of the task, shared by all actors."""
 
     names: tuple[str, ...]
     goals: NDArray[np.float64]
     """Goals of the objects, shape [K, 3] [m]."""
     state: WorldState
-    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
+    """State of the objects: ``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1,
+    J]."""
     joints: tuple[str, ...] = ()
     """Names of the home's doors and drawers."""
     scene: Scene | None = None
-    """The home, with doors and drawers where they last stood still."""
+    """Home with doors and drawers where they last stood still."""
     openables: Any = None
     """Doors and drawers of the home, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None if nothing opens."""
     sight: Any = None
     """Memories of what each agent has seen, `sim_kinematic.sensing.sight.Sight`; None if all know everything."""
 
     def destination(self, agent: int, action: Action) -> NDArray[np.float64]:
-        """World point [3] to which an agent goes by ``nav_to_object``, ``nav_to_goal`` or `SEARCH`, as far as it knows."""
+        """Return the world point [3] to which ``nav_to_object``, ``nav_to_goal`` or `SEARCH` leads, as the agent knows it."""
         k = action.target
         if action.skill == SEARCH:
             return self.sight.points[k]

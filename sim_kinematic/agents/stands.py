@@ -1,4 +1,4 @@
-"""Places to stand at so that something is within reach, on the free floor around a point, with the heading to take there."""
+"""Places to stand from which something is within reach, on the free floor around a point, with the heading there."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from sim_kinematic.motion.step import least_clearance
 
 @dataclass(frozen=True)
 class StandSpec:
-    """Places that are tried, and the room that agents need there."""
+    """Places that are tried as stands, and the room that agents need there."""
 
     bearings: int = 24
     """Number of directions from which a point is approached."""
     person_distances_m: tuple[float, ...] = tuple(0.25 + 0.05 * k for k in range(13))
     """Distances from which a person reaches for a point."""
     hand_side_rad: float = 0.25
-    """A person stands so that the point is this far to the side of the hand that takes it."""
+    """Angle by which the point is to the side of the hand that takes it [rad]."""
     sway_m: float = 0.015
-    """A person's distances count when the point is reached from this much nearer and farther as well."""
+    """Difference of distance [m] at which a point must be reachable as well, nearer and farther, for a person's
+    distance to count."""
     crowded_m: float = 100.0
-    """A path longer by this is taken rather than standing where another agent stands."""
+    """Additional length of a path that is preferred to a stand near another agent [m]."""
     room_m: float = 0.02
     """Free space around a robot's base where it stands and turns."""
     approach_m: float = 0.3
     """Length of the straight approach to a stand on which the base must fit as well [m]."""
     level_m: float = 0.01
-    """Floors that differ by less are one."""
+    """Difference in height below which floors are one [m]."""
 
 
 STANDS = StandSpec()

@@ -26,23 +26,23 @@ from sim_kinematic.motion.stride import Strider
 
 @dataclass(frozen=True)
 class WaypointSpec:
-    """Constants of walks along way points."""
+    """Constants of walks along waypoints."""
 
     most_steps: int = 20_000
-    """Number of steps that no walk to one goal reaches: eleven minutes."""
+    """Number of steps that no walk to one goal takes: eleven minutes."""
     arc_step_m: float = 0.08
-    """Distance below which way points belong to one rounded corner (5 cm apart at a radius of 0.25 m) [m]."""
+    """Distance below which waypoints belong to one rounded corner [m] (5 cm apart at a radius of 0.25 m)."""
     arc_turn_max: float = 1.75
-    """Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
+    """Angle above which corners are not rounded [rad]: their tangents meet far away."""
     min_walk_m: float = 1.5
     """Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
     aside_step_m: float = 0.02
-    """A way point is moved away from what is near in steps of this length."""
+    """Length of the steps in which a waypoint is moved away from obstacles [m]."""
     ahead_m: float = 0.2
-    """Sampled goals are so much farther from everything than `WalkerSpec.clearance_m`: people may run at a wall there, hands
-    first."""
+    """Distance of sampled goals from obstacles beyond `WalkerSpec.clearance_m` [m]: people may run at a wall there,
+    hands first."""
     apart_m: float = 0.15
-    """Way points are not moved nearer together than this: short legs mean turning on the spot."""
+    """Distance below which moving would bring waypoints too near together [m]: short legs mean turning on the spot."""
 
 
 WAYPOINTS = WaypointSpec()
@@ -50,7 +50,7 @@ WAYPOINTS = WaypointSpec()
 
 @dataclass
 class WaypointHuman:
-    """Person who walks along way points. ``goal`` and ``leg``, the current goal and way point, are its whole state."""
+    """Person who walks along waypoints. ``goal`` and ``leg``, the current goal and waypoint, are its whole state."""
 
     free: FreeSpace
     seed: int
@@ -60,7 +60,7 @@ class WaypointHuman:
     goal: int = -1
     """Index of the current goal, -1 before the first."""
     leg: int = 0
-    """Index of the way point within the path to the goal."""
+    """Index of the waypoint within the path to the goal."""
     goals: list[NDArray[np.float64]] = field(default_factory=list)
     """Goals so far, ``(x, z)`` each."""
     _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -69,7 +69,7 @@ class WaypointHuman:
     _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the way point ``(x, z)`` to walk to from ``position``; draw the next goal when the last one is reached."""
+        """Return the waypoint ``(x, z)`` to walk to from ``position``; sample the next goal when the last one is reached."""
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]
@@ -95,7 +95,7 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next goal [2] of somebody at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
+        """Return the next goal [2] of a person at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
@@ -122,7 +122,7 @@ class WaypointHuman:
 def walking_path(
     free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
 ) -> NDArray[np.float64]:
-    """Waypoints [K, 2] of a person from ``start`` to ``goal``.
+    """Return waypoints [K, 2] of a person from ``start`` to ``goal``.
 
     They are those of the shortest path with sharp corners, each moved ``spec.clearance_m`` away from walls and
     furniture as far as there is room. K = 0: there is no path.
@@ -132,7 +132,7 @@ def walking_path(
 
 
 def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """Return the path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
+    """Return the path [K, 2] with its corners moved away from obstacles, up to ``clearance_m``; its ends stay.
 
     A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
     as the straight ways to both its neighbours stay free.
@@ -175,7 +175,7 @@ def _aside(sdf, origin, cell, x, z, clearance, step):
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
+    """Return the path [K, 2] with each rounded corner replaced by the intersection of its tangents, if that path is free.
 
     A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
     """
@@ -219,7 +219,7 @@ class HumanPlan(NamedTuple):
     xz: NDArray[np.float64]
     """Positions of the person after each step, shape [steps, 2] [m]."""
     goals: list[NDArray[np.float64]]
-    """The points that the person walks to, one after the other, ``(x, z)`` each [m]."""
+    """Points that the person walks to, one after the other, ``(x, z)`` each [m]."""
 
 
 def human_plan(

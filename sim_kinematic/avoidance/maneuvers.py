@@ -1,4 +1,4 @@
-"""Maneuvers of a base in narrow places: back and forth, and around, where no single command leads on.
+"""Maneuvers of a base in narrow places: back and forth, and around, if no single command makes progress.
 
 A long robot gets stuck where the shortest path of a disc turns sharply: it would have to back up first. A search over poses
 (hybrid A*; Dolgov et al., 2008) over the robot's own commands finds how. It runs only when a base is stuck: it takes
@@ -27,10 +27,10 @@ from sim_kinematic.motion.step import are_clear, drive_base, least_clearance
 HEADINGS = 30
 """Number of cells into which headings are divided; all of them make a full turn."""
 GAIN_M = 1.5
-"""A maneuver ends as soon as it has shortened the path by this much."""
+"""Reduction of the path at which a maneuver ends [m]."""
 MOVE_M, SLIDES_M, AGENT_GAP_M = 0.1, 0.02, 0.05
-"""Length of a move, also the side of a cell in which two poses count as one; length below which a first move along a wall is
-none; least gap to other agents [m]."""
+"""Length of a move, also the side of a cell in which two poses count as one; length below which a first move along a
+wall does not count; least gap to other agents [m]."""
 TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
 """Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
 finds longer maneuvers sooner."""

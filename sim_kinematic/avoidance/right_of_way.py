@@ -1,4 +1,4 @@
-"""Right of way: agents in each other's way agree on who steps aside, and where to.
+"""Right of way: agents that block each other agree on who steps aside, and where to.
 
 Every agent announces its path. In order of rank, each asks those that stand on the next metres of its path to step aside to
 the nearest place off it; once it has been held up, also those that are going somewhere themselves. An agent that was asked
@@ -41,19 +41,19 @@ class Walker(Body, Protocol):
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Floor points [N, 2] [m] of the path that it follows, its own position first; empty if it follows none."""
+        """Floor points [N, 2] [m] of the agent's path, its own position first; empty if it has none."""
         ...
 
     @property
     def path_start(self) -> NDArray[np.floating] | None:
-        """First point of the agent's path [2], which costs nothing; None: it is going nowhere."""
+        """First point of the agent's path [2], cheap to compute; None if it has no path."""
         ...
 
     turned_away: bool
     """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
     stand."""
     hindered_by: frozenset[int]
-    """Agents that the agent would have touched in its last step, had it not stopped."""
+    """Agents with which the agent would have collided in its last step, had it not stopped."""
 
 
 @dataclass

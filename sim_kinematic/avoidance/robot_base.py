@@ -16,15 +16,15 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 
 CARRIED_M = 0.11
-"""Radius of a ball that stands for what a robot carries: of the objects in `h3-homes` only boxes of books have corners farther
-from their middle, 14 cm."""
+"""Radius of a ball that represents what a robot carries [m]: of the objects in `h3-homes` only boxes of books have
+corners farther from their middle, 14 cm."""
 _RULES = BaseSpec()
 """Default rules, from which the rules of a task may differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBase(BaseSpec):
-    """The base of a robot other than ``quad_arm``, whose hull `hull_of` cannot take for granted."""
+    """Base of a robot other than ``quad_arm``, with a hull of its own."""
 
     hull_offsets_m: tuple[float, ...]
     """Discs of the base's radius along x that cover the whole robot at rest."""

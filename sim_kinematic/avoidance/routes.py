@@ -97,7 +97,7 @@ class FloorRoutes:
 
     free: FreeSpace
     origin: NDArray[np.float64]
-    """Lower corner of cell [0, 0]."""
+    """Lower corner (x, z) of cell [0, 0] [m]."""
     centres: NDArray[np.float64]
     """Centre of each cell, [nx, nz, 2] [m]."""
     room: NDArray[np.float64]
@@ -116,7 +116,7 @@ class FloorRoutes:
     def flood(
         self, start: NDArray, discs: NDArray, *, goal: NDArray = NOWHERE, farthest_m: float = math.inf
     ) -> DistanceMap:
-        """Distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
+        """Return distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
 
         The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start. A map that is asked only
         for the path to ``goal`` [2], or for cells up to a distance, is made no larger than that takes.

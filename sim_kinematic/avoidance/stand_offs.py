@@ -18,9 +18,9 @@ class TaskProgress(NamedTuple):
     busy: bool
     """True if the agent has something to do."""
     leg: Hashable
-    """Current activity; another value means another path."""
+    """Identifier of the current activity; another value means another path."""
     left_m: Callable[[], float]
-    """Return the remaining length of its path; infinite: it goes nowhere."""
+    """Remaining length of the agent's path [m]; infinite if it has none."""
     completed: int
     """Number of tasks that the agent has completed."""
     obeys: bool = True

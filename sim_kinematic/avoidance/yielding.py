@@ -1,4 +1,4 @@
-"""Other agents from the view of one that moves, and rules by which people let each other pass."""
+"""Other agents as seen by one that moves, and rules by which people let each other pass."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import ObstacleDisc
 
 NO_PATH = np.zeros((0, 2))
-"""The path of an agent that goes nowhere."""
+"""Path of an agent without a destination."""
 
 
 class ObservedAgent(NamedTuple):
@@ -30,7 +30,7 @@ class ObservedAgent(NamedTuple):
     is_robot: bool
     heading: float = 0.0
     steps_aside: bool = False
-    """True if the agent goes nowhere and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
+    """True if the agent has no destination and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
     footprint: Footprint = AVOIDANCE.person
 
 

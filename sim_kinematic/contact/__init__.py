@@ -1,4 +1,4 @@
-"""Exact collision of convex shapes, through FCL: what touches what, how deep, how far apart."""
+"""Exact collision of convex shapes, through FCL: contacts, depths and distances."""
 
 from sim_kinematic.contact.agent_contact import AgentContacts
 from sim_kinematic.contact.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance

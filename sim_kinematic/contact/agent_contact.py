@@ -19,7 +19,7 @@ from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.fcl_world import Contact, MovingShapes, collide, contacts, distance
 
 NEAR_M = 1e-3
-"""Capsules nearer than this are left to FCL, whose word on what touches is right to about 1e-6 m."""
+"""Distance below which capsules are tested by FCL, which decides contact to about 1e-6 m [m]."""
 
 
 class AgentContacts:
@@ -132,7 +132,10 @@ def any_near(ends_a, radii_a, ends_b, radii_b, margin):
 
 @kernel(error_model="numpy")
 def segment_square(p, q, r, s):
-    """Square of the distance between segments p-q and r-s in space (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    """Return the square of the distance between segments p-q and r-s in space.
+
+    Source: Ericson, Real-Time Collision Detection, 5.1.9.
+    """
     a = b = c = d = e = 0.0
     for i in range(3):
         u, v, w = q[i] - p[i], s[i] - r[i], p[i] - r[i]

@@ -37,7 +37,7 @@ HOMES_KEPT = 64
 
 
 class RobotHumanContact:
-    """Contact between a robot that keeps one posture and a person who is posed by motion clips.
+    """Contact between a robot in a fixed posture and a person who is posed by motion clips.
 
     The robot has the collision shapes of its links, the person those that ``person_contact`` names.
     """
@@ -135,7 +135,7 @@ def scenery_of(scene: Scene) -> FclScene:
 
 
 def robot_reach(robot: Robot, joints: Array) -> float:
-    """Return an upper bound of how far a shape of the robot gets from its root along the floor in this posture [J] [m]."""
+    """Return an upper bound of the distance of the robot's shapes from its root along the floor in a posture [J] [m]."""
     links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     reach = 0.0
     for matrix, link in zip(links, robot.links, strict=True):
@@ -168,7 +168,7 @@ def robot_span(robot: Robot) -> float:
 
 @lru_cache(maxsize=32)
 def clip_reach(human: Humanoid, person_contact: PersonContact = "body") -> float:
-    """Return the farthest that the person's collision shapes get from the root along the floor in any of the clips [m]."""
+    """Return the largest distance of the person's collision shapes from the root along the floor in any of the clips [m]."""
     clip, phase, blend = (
         grid.ravel()
         for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")

@@ -35,8 +35,9 @@ class Contact(NamedTuple):
     """Index of the shape in ``a`` (for a scene: into ``names``)."""
     index_b: int
     depth_m: float
-    """Depth of their overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for capsules,
-    cylinders and hulls never give less than the least depth, but up to a few centimetres more when it is deep."""
+    """Depth of the overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for
+    capsules, cylinders and hulls never give less than the least depth, but up to a few centimetres more when it is
+    deep."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
     normal: NDArray[np.float64]
@@ -61,7 +62,7 @@ class _Objects:
 
 
 class FclScene(_Objects):
-    """The static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
+    """Static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
 
     def __init__(self, scene: Scene) -> None:
         geometries, matrices, names, bounds = [], [], [], []
@@ -172,7 +173,8 @@ def _bounds(shape: Shape, rigid: NDArray[np.float64], scale: ArrayLike) -> NDArr
 
 
 MARGIN_M = 1e-6
-"""Bounding boxes this near count as overlapping, so that FCL decides on shapes that touch within rounding [m]."""
+"""Distance below which bounding boxes count as overlapping, so that FCL decides on shapes that touch within rounding
+[m]."""
 
 
 @kernel()

@@ -1,4 +1,4 @@
-"""Compute frames of links and joints, and the collision shapes that they carry, from the state."""
+"""Frames of links and joints, and the collision shapes on them, from the state."""
 
 from __future__ import annotations
 

@@ -25,14 +25,15 @@ AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
 VIEW_RAD = math.pi / 2
 """Angle to the others of a group beyond which a member turns the head and walks slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
-"""A member slows down to the first share of the speed at most while the company is within this distance, else to the second. So
-nobody stands still in a passage, where the members walk one behind the other."""
+"""Distance from the company [m] within which a member slows down to the first share of the speed at most, else to the
+second. So nobody stands still in a passage, where the members walk one behind the other."""
 ONWARD = 0.3
 """Least share of the speed with which a member goes on, whatever the company does."""
 APART_M, NEAR_M = 1.0, 0.6
 """Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
 BETWEEN_M = 0.3
-"""Somebody who stands between two members of a group makes the way from one to the other longer by less than this [m]."""
+"""Detour below which somebody stands between two members of a group [m]: the path from one to the other by way of that
+person is longer by less."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
@@ -43,7 +44,7 @@ PASSING_M, EDGE_M = 0.95, 0.25
 
 @kernel(error_model="numpy")
 def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
-    """Wanted velocity (x, z) [m/s] of a member of a group: parallel to the path of all where there is room beside it."""
+    """Return the wanted velocity (x, z) [m/s] of a group's member: parallel to the common path where there is room."""
     ax, az = point_along(path, cumulative, along)
     tx, tz = point_along(path, cumulative, min(along + AHEAD_M, cumulative[-1]))
     aside = min(math.hypot(x - ax, z - az), ASIDE_M) / max(math.hypot(x - ax, z - az), 1e-6)
@@ -59,7 +60,7 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 
 @kernel(error_model="numpy")
 def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, unparted):
-    """Wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)`` for themselves, with the forces of their group.
+    """Return the wanted velocity (x, z) [m/s] of person ``m`` with the forces of their group, from their own ``(wx, wz)``.
 
     The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
     0.3 m, and members nearer than 0.8 m repel each other. A force counts as the change of velocity within ``tau`` [s].
@@ -119,12 +120,12 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
 
 
 def circle_radius(people: int) -> float:
-    """Return the radius [m] of the circle on which people stand who talk with each other."""
+    """Return the radius [m] of the circle on which people stand in a conversation."""
     return max(NEAR_M, APART_M / 2 / math.sin(math.pi / people))
 
 
 def closed_area(free: FreeSpace, xz: Array) -> float:
-    """Return the area [m2] of floor that people who stand at places [N, 2] cut off from the largest part that they leave."""
+    """Return the area [m2] of floor that people at places [N, 2] cut off from the largest remaining part."""
     from scipy import ndimage
 
     label: Any = ndimage.label  # its types do not say that it returns two values

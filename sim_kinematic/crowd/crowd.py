@@ -22,7 +22,7 @@ from sim_kinematic.motion.spec import STEP_S, StrideSpec
 
 CrowdModel = Literal["social_force", "orca"]
 ARRIVED_M = 0.4
-"""A goal counts as reached within this distance."""
+"""Distance within which a goal counts as reached [m]."""
 ATTEMPTS = 8
 """Largest number of goals that are tried in one step, as some of them may have been reached already."""
 STUCK_PATHS, AWAY_M, WAY_M = 4, 1.0, 1.5
@@ -40,8 +40,8 @@ conversations may close a passage, groups pull together through walls, and peopl
 somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
 slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`)."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
-"""People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
-while a step would bring them nearer than the third to somebody's outline."""
+"""Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
+outlines below which people wait [m]."""
 
 
 def _room_on(path: Array, others: Array) -> float:

@@ -24,9 +24,9 @@ class Station(NamedTuple):
     height_m: float
     """Height of the seat above the floor [m]; 0 without a seat."""
     taken: Array
-    """Place ``(x, z, heading)`` of who is there, and the distance that others keep from it, [4]."""
+    """Place ``(x, z, heading)`` of the person who is there, and the distance that others keep from it, [4]."""
     motion: Callable[[Array, float], Motion]
-    """Returns the motion of somebody who arrives at a place [3] and stays for some seconds."""
+    """Function that returns the motion of a person who arrives at a place [3] and stays for some seconds."""
 
 
 @dataclass
@@ -34,11 +34,11 @@ class HandWork:
     """State of the hands of a person of a crowd, which the motions at stations change."""
 
     things: tuple[Body, ...] = ()
-    """Things that the person takes or carries, beyond the things of the home; a pose of NaN is nowhere."""
+    """Things that the person takes or carries, beyond the things of the home; a pose of NaN means absent."""
     assets: tuple[AssetRef, ...] = ()
     """Appearance of the things."""
     lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
-    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
+    """Places to which the hands move (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
     held: dict[int, Array] = field(default_factory=dict)
     """Poses (pose7), in the agent root frame, of the things in the hands, by number."""
     joints: dict[int, float] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Errand(NamedTuple):
     seconds: float = 0.0
     """Time to stay at the place [s]; 0: the person passes it."""
     look: tuple[float, float] | None = None
-    """Point (x, z) that the person faces meanwhile [m]."""
+    """Point (x, z) that the person faces during the stay [m]."""
     activity: str = "walk"
     """Activity at the place, the name of a posture. A body that has no such posture stands."""
     place: str = ""

@@ -1,4 +1,4 @@
-"""Reactions of people to a robot that they see: the six of HuNavSim with their published numbers.
+"""Reactions of people to visible robots: the six of HuNavSim with their published numbers.
 
 Each is a distance, a time, and what the person does while the robot is in sight within that distance and the time since the
 first sight has not run out (Perez-Higueras et al. 2023, behaviour trees of hunav_sim). Otherwise the person walks on.
@@ -17,18 +17,18 @@ from sim_kinematic.motion.step import wrap_angle
 
 
 class Reaction(NamedTuple):
-    """Numbers of one reaction."""
+    """Parameters of one reaction."""
 
     within_m: float
     """Distance within which a robot is noticed [m]; with 0, people avoid robots only as they avoid anything else."""
     lasts_s: float = 0.0
     """Time from the first sight after which the reaction is over [s]."""
     again: float = 0.0
-    """Flag: 1 if the reaction begins anew at the next sight after that."""
+    """Flag: 1 if the reaction begins anew at the next sight after its end."""
     speed_mps: float = 0.0
     """Walking speed during the reaction [m/s]."""
     by_distance: float = 0.0
-    """Flag: 1 if this speed is multiplied by the distance over ``within_m``."""
+    """Flag: 1 if this speed is multiplied by the distance divided by ``within_m``."""
     approach: float = 0.0
     """Flag: 1 if the person walks up to the robot."""
     before_m: float = 0.0
@@ -47,18 +47,18 @@ REACTIONS: dict[str, Reaction] = {
     "scared": Reaction(3.0, 40.0, 1.0, speed_mps=0.6, repulsion_m2_s2=20.0 * 0.2),
     "threatening": Reaction(4.0, 40.0, speed_mps=2.0, approach=1.0, before_m=1.1, stand_m=1.2),
 }
-"""Reactions by name. ``regular`` takes the robot for another person, ``impassive`` for furniture."""
+"""Reactions by name. ``regular`` treats the robot as another person, ``impassive`` as furniture."""
 IMPASSIVE = list(REACTIONS).index("impassive")
 """Number of the reaction ``impassive``."""
 TABLE = np.array(list(REACTIONS.values()))
-"""The numbers that the kernels take, [6, 9], by number of the reaction."""
+"""Parameters of the reactions for the kernels, [6, 9], by number of the reaction."""
 VIEW_RAD = math.radians(100.0)
 """Angle from the direction of their gaze up to which people see robots [rad]."""
 
 
 @kernel(error_model="numpy")
 def sees(sdf, origin, cell, ax, az, bx, bz):
-    """Returns whether the straight line between two places is free of walls and furniture."""
+    """Return whether the straight line between two places is free of walls and furniture."""
     length = math.hypot(bx - ax, bz - az)
     at = 0.0
     while at < length:
@@ -75,7 +75,7 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 
 @kernel(error_model="numpy")
 def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
-    """Returns whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
+    """Return whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
 
     Args:
         reaction: Row of `TABLE`.
@@ -106,7 +106,7 @@ def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
 
 @kernel(error_model="numpy")
 def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
-    """Velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] of a person who reacts, and who otherwise wants ``(wx, wz)``.
 
     Args:
         reaction: Row of `TABLE`.

@@ -1,4 +1,4 @@
-"""Words after the name of a model that describe a person of a crowd, as in ``orca+curious+walk1``."""
+"""Suffixes of a model's name that describe a person of a crowd, as in ``orca+curious+walk1``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Role(NamedTuple):
     """Reaction, company and routine of a person of a crowd."""
 
     reaction: str = "regular"
-    """Reaction to a robot that they see: one of `REACTIONS`."""
+    """Reaction of the person to a visible robot: one of `REACTIONS`."""
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""

@@ -31,13 +31,14 @@ SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
 STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps and of turns before a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
-"""Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
+"""Distances between the places where people turn and where they stand before they sit down [m], of which the first with
+room is used."""
 ROOM_M = 0.27
-"""Least distance of that place from obstacles [m]."""
+"""Least distance of the place of the turn from obstacles [m]."""
 DEPTH_M = 0.018
 """Depth by which the collision shapes of a seated person may be in the seat, as cushions give way [m]."""
 BESIDE_M = 0.8
-"""Seats within this distance of a table or desk belong to it."""
+"""Distance from a table or desk within which seats belong to it [m]."""
 APART_M, LIES_APART_M = 0.75, 1.6
 """Least distance between people who sit side by side, and of those who sit down from the hips of somebody who lies [m]."""
 
@@ -56,7 +57,7 @@ class SeatPlace(NamedTuple):
 
     @property
     def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of who sits or lies there, and the distance that others keep from it, [4]."""
+        """Place ``(x, z, heading)`` of the person who sits or lies there, and the distance that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
     def station(self) -> Station:
@@ -223,7 +224,7 @@ class Seats:
 
 
 def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
-    """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
+    """Yield the motion of a person who comes from a place [3] before a seat, sits for some time, and goes back there."""
     yield from take_seat(here, place)
     way = lying_way(place)
     at, up = way[-1]
@@ -234,7 +235,7 @@ def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
 
 
 def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:
-    """Return the places and shares of somebody who lies down from sitting (1), or only the first if they do not lie."""
+    """Return places and shares of a person who lies down from sitting (1), or only the first if they do not lie."""
     steps, up = (1, 1.0) if place.lie is None else (round(LIE_S / STEP_S) + 1, 2.0)
     # each part of lying down and sitting up begins and ends at rest, so the share itself need not
     return [(root_at(place, share), share) for share in np.linspace(1, up, steps).tolist()]
@@ -254,7 +255,7 @@ def root_at(place: SeatPlace, share: float) -> Array:
 
 
 def take_seat(here: Array, place: SeatPlace) -> Motion:
-    """Yield the motion of somebody who comes from a place [3] before a seat and sits down."""
+    """Yield the motion of a person who comes from a place [3] before a seat and sits down."""
     for start, end in ((here, place.before), (place.before, place.stand)):
         yield from steps_between(start, end)
     yield from _shares(place.stand, 0, 0, SETTLE_S)
@@ -262,7 +263,7 @@ def take_seat(here: Array, place: SeatPlace) -> Motion:
 
 
 def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
-    """Yield the motion of somebody at a place [3], with a ``share`` of sitting, who gets up and steps away."""
+    """Yield the motion of a person at a place [3], with a ``share`` of sitting, who gets up and steps away."""
     if share > 0:
         yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
         yield from _shares(here, 0, 0, SETTLE_S / 2)
@@ -279,7 +280,7 @@ def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
 
 
 def steps_between(start: Array, end: Array) -> Motion:
-    """Yield the motion of somebody who steps and turns from one place [3] to another."""
+    """Yield the motion of a person who steps and turns from one place [3] to another."""
     turn = float(wrap_angle(end[2] - start[2]))
     gap = end[:2] - start[:2]
     steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)

@@ -22,18 +22,18 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
 FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
-"""Distance at which a foot of somebody who sets off steps ahead [m], time by which the speed adds to it [s], and room that the
-foot needs there [m]."""
+"""Distance ahead of the first foot of a person who sets off [m], time whose product with the speed is added to it [s],
+and room that the foot needs [m]."""
 CREEP_MPS = 0.25
-"""Speed up to which people step in any direction, whatever they look at [m/s]."""
+"""Speed up to which people step in any direction, independent of their heading [m/s]."""
 AHEAD_M = 0.1
 """Length of the steps in which narrow places are searched along a path [m]."""
 PROGRESS_M = 0.25
-"""Progress along the path by which a person does not count as stuck [m]."""
+"""Progress along the path above which a person does not count as stuck [m]."""
 SLIDES = 3
-"""Number of attempts to go past others whom a step would touch."""
+"""Number of attempts to move past others with whom a step would collide."""
 SEATED = 3.0
-"""Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
+"""Value in ``stays`` of people who sit down, sit or get up, whose places are prescribed."""
 BACK_M, START_M = 1.5, 0.1
 """Distance that people in a narrow place go back along their path to let others through, and distance from its beginning within
 which they cannot [m]."""
@@ -59,7 +59,7 @@ def reach_between(m, j, px, pz, radii, body):
 
 @kernel(error_model="numpy")
 def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
-    """Returns whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
+    """Return whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no path.
 
     Args:
         xz: Positions of the people [M, 2] [m].
@@ -88,7 +88,7 @@ def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
 
 @kernel(error_model="numpy")
 def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
-    """Distance along the path [m] of the first narrow place from ``along`` on, -1 if there is none ``within`` [m]."""
+    """Return the distance along the path [m] of the first narrow place after ``along``, -1 if none is ``within`` [m]."""
     at = along
     while at <= min(along + within, cumulative[-1]):
         x, z = point_along(path, cumulative, at)
@@ -100,7 +100,7 @@ def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
 
 @kernel(error_model="numpy")
 def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims, step, rules):
-    """Notes in ``claims`` [M, 6] who is in or before a narrow place, in place.
+    """Store in ``claims`` [M, 6], in place, who is in or before a narrow place.
 
     A row holds the step in which the person came there (0: nowhere), the place (x, z) where it begins for them, the direction
     in which they pass it, and whether they are in it.
@@ -126,7 +126,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 @kernel(error_model="numpy")
 def first_through(claims, company, m, wait):
-    """Number of the person who passes a narrow place before person ``m`` in the opposite direction; -1: nobody does."""
+    """Return the number of the person who passes a narrow place before person ``m`` in the opposite direction, or -1."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -146,7 +146,7 @@ def first_through(claims, company, m, wait):
 
 @kernel(error_model="numpy")
 def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
-    """Velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    """Return the velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
     # with less room to a nearer point, as a straight line to a far one could cut a corner
     room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
     ahead = min(0.3 + max(room, 0.0), 0.9)
@@ -161,7 +161,7 @@ def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, dec
 
 @kernel(error_model="numpy")
 def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, their_lengths, their_along, inside, rules):
-    """Velocity (x, z) [m/s] of somebody who lets another one through: off the other's path, or back out of the passage."""
+    """Return the velocity (x, z) [m/s] of a person who lets another pass: off their path, or back out of the passage."""
     if inside:
         tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
         distance = math.hypot(tx - x, tz - z)
@@ -188,7 +188,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 def choose_velocity(
     sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
 ):
-    """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that person ``m`` chooses, who wants ``(wx, wz)``.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -303,7 +303,7 @@ def choose_velocity(
 
 @kernel(error_model="numpy")
 def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt):
-    """Moves the body of person ``m`` as far as it can follow the chosen velocity, in place.
+    """Move the body of person ``m`` as far as it can follow the chosen velocity, in place.
 
     Args:
         sdf: Signed distances of the floor's grid [m].

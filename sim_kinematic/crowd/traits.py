@@ -1,4 +1,4 @@
-"""Traits in which people of a crowd differ, and the constants that they share."""
+"""Traits of single people of a crowd, and the constants that all of them share."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class CrowdSpec:
     comfort_m: float = 0.08
     """Distance between outlines that avoidance adds to both radii [m]."""
     narrow_m: float = 0.55
-    """Distance to the nearest wall below which a place counts as narrow, as two people cannot pass each other there [m]."""
+    """Distance to the nearest wall below which a place counts as narrow: two people cannot pass each other there
+    [m]."""
     wait_m: float = 1.2
     """Distance before a narrow place at which people decide who goes first [m]."""
     aside_m: float = 0.9
@@ -52,7 +53,7 @@ class CrowdSpec:
     n_prime: float = 3.0
     """Social force: angular range of an interaction for turning aside."""
     company_in_sight: bool = True
-    """True if people of a walking group keep together with those whom they see, and go on at least slowly."""
+    """True if members of a walking group stay together with visible members, and walk on at least slowly."""
     way_horizon_s: float = 2.0
     """Time within which `orca` avoids a collision with somebody who gives way to the person [s]."""
     aside_mps: float = 0.6
@@ -74,23 +75,24 @@ class CrowdSpec:
 
     @property
     def numbers(self) -> Array:
-        """The numbers that the kernels take, in the order of the fields."""
+        """Values for the kernels, in the order of the fields."""
         return np.array(astuple(self))
 
 
 class Traits(NamedTuple):
-    """Traits that set one person of a crowd apart."""
+    """Traits of one person of a crowd."""
 
     speed_mps: float
     """Free walking speed."""
     relaxation_s: float
     """Time constant with which `social_force` returns to the desired velocity."""
     reaction_s: float
-    """Time between two decisions."""
+    """Time between two decisions [s]."""
     radius_m: float
-    """Radius that nobody else's may overlap: half of the width of the body with swinging arms."""
+    """Radius of the person's disc, which others' discs must not overlap [m]: half of the width of the body with
+    swinging arms."""
     side: float
-    """Side to which a person keeps who meets somebody head-on: 1 is right, -1 left."""
+    """Side to which the person moves when meeting somebody head-on: 1 is right, -1 left."""
     patience_s: float
     """Time without progress after which a person chooses another goal."""
 

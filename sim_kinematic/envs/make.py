@@ -1,4 +1,4 @@
-"""`h3data.make`: any task as a training environment."""
+"""Function `h3data.make`: any task as a training environment."""
 
 from __future__ import annotations
 
@@ -30,16 +30,14 @@ if TYPE_CHECKING:
 
 
 class Bank(Protocol):
-    """Episodes in arrays, of which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
+    """Episodes in arrays, from which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
 
     def __len__(self) -> int: ...
 
 
 DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="task on a torch device")
-"""Makers of W worlds of a task on a torch device, by the name of the task: ``(worlds, scenes, *, device, agents, **options)``.
-
-Those of tasks without an entry are made by ``any``, which is given the ``task``.
-"""
+"""Functions that make W worlds of a task on a torch device, by the name of the task: ``(worlds, scenes, *, device,
+agents, **options)``. Tasks without an entry use ``any``, which also takes the ``task``."""
 
 
 class MakeOptions(TypedDict, total=False):

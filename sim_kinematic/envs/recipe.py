@@ -20,12 +20,12 @@ class EnvRecipe:
     function: ClassVar[str] = "h3data:make"
     """Reference to the function that makes environments. It is a name, as the function is in a layer above."""
     task: Any
-    """Name, ``module:Class``, or a `Task`."""
+    """Task: a name, ``module:Class``, or a `Task`."""
     scenes: Any
     options: Mapping[str, Any]
 
     def make(self) -> Any:
-        """Make the environment anew; it has not been reset."""
+        """Make the environment again; it has not been reset."""
         return load_reference(self.function)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:

@@ -40,7 +40,7 @@ class Options:
     noise: Mapping[str, NoiseModel] | None = None
     """Noise model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; others are exact."""
     end_on_success: bool = False
-    """True if success terminates an episode even where the task's rules let it go on."""
+    """True if success terminates an episode even if the task's rules let it continue."""
     threads: int = 1
     """Number of threads that render pictures."""
 
@@ -55,7 +55,7 @@ class Stepper(Protocol):
     """W worlds, each in an episode of its own."""
 
     task: Any
-    """The task, with its ``name``."""
+    """Task, with its ``name``."""
     spec: Any
     """Rules of the task, with ``max_steps``."""
     worlds: int

@@ -47,7 +47,7 @@ OTHER = {"robot": "human", "human": "robot"}
 
 
 class Turns:
-    """World whose agents are asked in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
+    """World whose agents choose in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
 
     def __init__(self, play: WorldRollout, acting: Sequence[int]) -> None:
         self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
@@ -64,7 +64,7 @@ class Turns:
 
     @property
     def choosing(self) -> list[int]:
-        """Agents outside whose next action counts: the one that must choose, and those that will in the same step."""
+        """Agents outside whose next action counts: the one that must choose, and those that choose in the same step."""
         if self._loop.asked is None:
             return []
         team = self.play.team
@@ -210,7 +210,7 @@ class WorldStepper:
 
     @property
     def play(self) -> WorldRollout:
-        """The rollout of all worlds, or of the first one.
+        """Rollout of all worlds, or of the first one.
 
         Raises:
             InputError: No episode has begun.
@@ -225,7 +225,7 @@ class WorldStepper:
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways.
+        """Return the space of base velocities, -1..1 of the limits: [2], or [3] for a robot that can move sideways.
 
         For agents with skills it is the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
         """
@@ -442,7 +442,7 @@ class WorldStepper:
         }
 
     def episode_info(self) -> Info:
-        """Scene and seed of the episode in each world, [W] each."""
+        """Return the scene and seed of the episode in each world, [W] each."""
         self._require_begun()
         return {
             "scene": np.array([e.scene.name for e in self._episodes], object),
@@ -450,12 +450,12 @@ class WorldStepper:
         }
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
+        """Render one world for people who watch, uint8 [480, 640, 3]."""
         self._require_begun()
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
-        """Task, scenes, agents and number of worlds in a few words."""
+        """Return the task, scenes, agents and number of worlds in a few words."""
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}

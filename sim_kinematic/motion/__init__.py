@@ -1,1 +1,1 @@
-"""State, constants, step kernels and random numbers: know no agents and no task."""
+"""State, constants, step kernels and random numbers, independent of agents and tasks."""

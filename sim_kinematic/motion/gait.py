@@ -1,4 +1,4 @@
-"""Locomotion of people: to way points (`walk_humans`) or by commands of speed and turn (`drive_people`).
+"""Locomotion of people: to waypoints (`walk_humans`) or by commands of speed and turn (`drive_people`).
 
 Both drive one walking cycle (`step_cycle`). It is played by distance, so planted feet stay put: `cycle_phase` says where in
 its clip a person is.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """Move a way-point walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
+    """Move a waypoint walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
     dx, dz = goal_x - x, goal_z - z
     distance = math.hypot(dx, dz)
     if distance <= arrive:
@@ -43,7 +43,7 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
 
 @kernel(error_model="numpy")
 def step_cycle(distance, set_off, blend, walked, rate):
-    """``(distance, set_off, blend)`` of one person after a step in which they ``walked`` so far [m], negative backwards.
+    """Return ``(distance, set_off, blend)`` of one person after a step of length ``walked`` [m], negative backwards.
 
     At a blend above 0.5 one foot stands (`h3data.bodies.people.kernels.legs.settle`), so a walk begins there.
     """
@@ -75,7 +75,7 @@ def _step_cycles(distance, set_off, blend, xz, before, backwards, rate):
 
 
 def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
-    """Move a person in all their worlds one step straight towards way points ``goal_xz`` [W, 2], in place.
+    """Move a person in all their worlds one step straight towards waypoints ``goal_xz`` [W, 2], in place.
 
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
@@ -96,7 +96,7 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
-    """Put a person in all their worlds where they get in a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    """Move a person in all their worlds to their place after a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
     # the cycle goes on by the distance covered, which is known only after the move
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading
@@ -173,5 +173,5 @@ def _disc(speed_mps: float, turn_rad_s: float, radius_m: float, backwards: bool)
 
 
 def cycle_phase(clip: Clip, distance: NDArray[np.float64], set_off: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Phases [...], 0..1, of a walking clip at distances walked in all and where the walk began [...] [m]."""
+    """Return phases [...], 0..1, of a walking clip, from the distances walked in total and where the walk began [...] [m]."""
     return (clip.start_phase + (distance - set_off) / clip.stride_m) % 1.0

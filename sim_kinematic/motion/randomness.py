@@ -1,4 +1,4 @@
-"""Counter-based random numbers: the same (seed, stream, step) gives the same draw on every machine, in any order."""
+"""Counter-based random numbers: the same (seed, stream, step) gives the same sample on every machine, in any order."""
 
 from __future__ import annotations
 

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Literal, get_args
 from h3data.errors import InputError
 
 STEP_S = 1 / 30
-"""Seconds per step. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is 2.5 m/s
-(spec/habitat.md 0)."""
+"""Duration of a step [s]. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is
+2.5 m/s (spec/habitat.md 0)."""
 
 
 Slide = Literal["strict", "habitat"]
 PersonContact = Literal["body", "bones"]
-"""Collision shapes of people: ``body``, 18 capsules as thick as the body, or ``bones``, a box of 2 x 2 cm along each bone, as
-the people have that Habitat publishes (spec/habitat.md 1.6)."""
+"""Collision shapes of people: ``body``, 18 capsules as thick as the body, or ``bones``, a box of 2 x 2 cm along each
+bone, as for Habitat's published people (spec/habitat.md 1.6)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +25,14 @@ class HabitatSlideSpec:
     """The settings of Habitat's base action; the defaults are those that reproduce the paper (spec/habitat.md 1.1, 1.3)."""
 
     root_height_m: float = 0.48
-    """Height of Spot's root over the floor: from there its discs are put onto the navmesh."""
+    """Height of Spot's root over the floor, from which its discs are projected onto the navmesh [m]."""
     slides: bool = True
-    """``allow_dyn_slide``: a base that touches moves on along the wall; else it stays where it was."""
+    """True if a base that touches slides along the wall (``allow_dyn_slide``); else it stays where it was."""
     slides_while_turning: bool = True
-    """False as for Habitat's ``enable_rotation_check_for_dyn_slide``: the base then slides only while it does not turn."""
+    """True if the base also slides while it turns; False as for Habitat's ``enable_rotation_check_for_dyn_slide``."""
     navmesh_slides: bool = True
-    """``sim_cfg.allow_sliding``: a disc's own step on the navmesh slides too, else it ends at the first wall."""
+    """True if a disc's own step on the navmesh slides too (``sim_cfg.allow_sliding``); else it ends at the first
+    wall."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +52,12 @@ class BaseSpec:
     habitat: HabitatSlideSpec = HabitatSlideSpec()
     """Parameters for ``slide="habitat"``."""
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
-    """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation), which is the
-    profile ``habitat`` of every robot. They leave out hind legs and hand, which stood more than 2 cm inside walls or furniture
-    in 13% of the steps: `HOME_BASE` covers them."""
+    """Positions of the discs along the robot's x axis [m]: centre and front, the paper's two cylinders (appendix,
+    social navigation), which is the profile ``habitat`` of every robot. They leave out hind legs and hand, which were
+    more than 2 cm inside walls or furniture in 13% of the steps: `HOME_BASE` covers them."""
     disc_radius_m: float = 0.25
     slide_iterations: int = 6
-    """Attempts to push the discs out of obstacles before the move is given up."""
+    """Largest number of attempts to push the discs out of obstacles before the move is given up."""
     clearance_tolerance_m: float = 7e-4
     """Distance by which a disc may be nearer to an obstacle on the grid than its radius [m]. The grid itself may be wrong by
     cell^2 / (8 radius), 1.25 mm at corners, so the disc enters no obstacle by more than 2 mm."""
@@ -66,17 +67,17 @@ class BaseSpec:
     """True if sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
     of 2.5 m/s). Left out of ``repr``, from which episodes have their identity: those of the paper's base keep theirs."""
     maneuvers: bool = field(default=False, repr=False)
-    """True if scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
-    it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
+    """True if scripts drive the base as a robot of h3data's own episodes: it accelerates and brakes gradually, and
+    looks for a maneuver when it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
-        """Return how far the base may get in one step of ``dt`` [s], obstacles pushing it or not [m]."""
+        """Return the largest movement of the base in one step of ``dt`` [s], with or without a push by obstacles [m]."""
         return math.hypot(self.max_speed_mps, self.max_lateral_mps) * dt if self.keeps_speed else math.inf
 
 
 HOME_BASE = BaseSpec(disc_offsets_m=(-0.4, 0.02, 0.33), keeps_speed=True, maneuvers=True)
-"""The base of our own episodes: discs cover a robot from hind legs to hand. Another robot than ``quad_arm`` has its own
-(`sim_kinematic.avoidance.robot_base.base_of`)."""
+"""Base of h3data's own episodes: discs cover a robot from hind legs to hand. Robots other than ``quad_arm`` have their
+own (`sim_kinematic.avoidance.robot_base.base_of`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,9 +99,9 @@ class ArmRoomSpec:
     fade_m: float = 0.5
     """Distance beyond ``within_m`` over which obstacles count less and less [m]."""
     step_m: float = 0.1
-    """The line is looked at in steps of this length."""
+    """Length of the steps in which the line is checked [m]."""
     rate: float = 0.12
-    """Largest change of an arm's fold in one step, where 1 is from fully out to fully in."""
+    """Largest change of an arm's fold in one step, where 0 is fully out and 1 fully in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +109,8 @@ class StrideSpec:
     """Rules of walking along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
 
     accel_mps2: float = 1.1
-    """People reach their walking speed in two to three steps (Breniere and Do 1986: 1.3 m/s in 1.2 s)."""
+    """Acceleration of people [m/s2], who reach their walking speed in two to three steps (Breniere and Do 1986: 1.3 m/s
+    in 1.2 s)."""
     decel_mps2: float = 1.1
     turn_rad_s: float = 1.8
     turn_accel_rad_s2: float = 7.0
@@ -121,13 +123,14 @@ class StrideSpec:
     sidestep_rad_s: float = 2.5
     """Largest rate of change of that angle [rad/s]."""
     arrive_m: float = 0.12
-    """Within twice this distance of the end they no longer turn, and step to it sideways if need be."""
+    """Half of the distance from the end of a path within which people no longer turn, and step to it sideways if
+    necessary [m]."""
     patience_s: float = 4.0
     """Time without progress after which people keep to the path itself [s]."""
 
     @property
     def limits(self) -> tuple[float, ...]:
-        """The numbers that the kernel takes."""
+        """Values for the kernel."""
         return (
             self.accel_mps2,
             self.decel_mps2,
@@ -143,18 +146,19 @@ class StrideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
-    """Motion of a way-point humanoid: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+    """Motion of a waypoint humanoid: it turns on the spot towards the next waypoint, then walks (paper section 3.1)."""
 
     speed_mps: float = 2.5
     turn_rad_s: float = 2.5
     turn_before_walk_rad: float = 0.0873
     """Heading error above which a person turns without walking (5 degrees, spec/habitat.md 3.4) [rad]."""
     arrive_m: float = 1e-3
-    """A way point counts as reached within this distance. People land on it exactly; more would cut the next corner."""
+    """Distance within which a waypoint counts as reached [m]. People land on it exactly; more would cut the next
+    corner."""
     blend_s: float = 0.2
-    """Time to go over between standing and walking."""
+    """Duration of the transition between standing and walking [s]."""
     clearance_m: float = 0.0
-    """Way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
+    """Distance of waypoints from walls and furniture where there is room [m]; 0: shortest paths, as in Habitat."""
     arms: ArmRoomSpec | None = None
     """Rules for folding in the arms beside walls and furniture; None: they swing regardless of obstacles."""
     stride: StrideSpec | None = None
@@ -167,18 +171,18 @@ class WalkerSpec:
 
 
 NATURAL_WALKER = WalkerSpec(speed_mps=1.3, clearance_m=0.4, arms=ArmRoomSpec(), stride=StrideSpec())
-"""A person who walks curves at a walking speed: the default of new episodes."""
+"""Gait of a person who walks curves at a walking speed: the default of new episodes."""
 
 HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
-"""The paper's person, who keeps clear of walls and furniture where there is room."""
+"""Gait of the paper's person, with a distance to walls and furniture where there is room."""
 
 
 WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
 """Gaits by name: ``paper`` walks at 2.5 m/s and turns on the spot, ``natural`` walks as people do."""
 
 RULE_SETS: Mapping[str, Mapping[str, Any]] = {name: {"human": walker} for name, walker in WALKERS.items()}
-"""Fields of a spec by the name of a set of rules: ``paper`` is what the published numbers were measured under, as far as our
-assets allow (`h3data.metrics.paper.protocol`), and ``natural`` the default of new episodes."""
+"""Fields of a spec by the name of a set of rules. ``paper`` is the set for the published numbers, as far as our assets
+allow (`h3data.metrics.paper.protocol`), and ``natural`` the default of new episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +232,7 @@ class ArmSpec:
     joint_step: float = 0.05
     """Largest movement of a joint in one step [rad or m]."""
     grasp_m: float = 0.15
-    """The hand takes the nearest object, if its origin is nearer to the hand than this."""
+    """Distance within which the hand takes the nearest object, measured to its origin [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,16 +251,16 @@ class SkillSpec:
     arm_start_m: float = 3.0
     """Least length of the path to the stand at the start of ``pick`` and ``place`` [m]."""
     arm_most_m: float = 5.0
-    """Largest length of that path at the start of ``pick`` and ``place`` [m]; a robot that is farther away has to get there
-    first."""
+    """Largest length of that path at the start of ``pick`` and ``place`` [m]; a robot that is farther away has to drive
+    there first."""
     near_m: float = 1.5
     """Distance to the target, and length of the path to the stand, within which ``nav`` ends [m]."""
     facing_dot: float = 0.5
     """Least cosine between the forward axis and the direction to the target with which ``nav`` ends."""
     rest_m: float = 0.15
-    """``pick`` and ``place`` end with the hand this near to where it is at rest."""
+    """Distance of the hand from its resting place at which ``pick`` and ``place`` end [m]."""
     place_m: float = 0.15
-    """An object counts as placed this near to its goal."""
+    """Distance from its goal within which an object counts as placed [m]."""
     slack: float = 0.005
     """Cost of a step; ``nav`` costs twice that."""
     contact: float = 0.005
@@ -292,7 +296,7 @@ class OracleSpec:
     reach_rad: float = 0.1
     """Angle within which an agent counts as facing the object that it reaches for [rad]."""
     person_radius_m: float = 0.2
-    """Agents touch where their discs do: this one of a person, and those of a robot's base."""
+    """Radius of a person's disc [m]: agents touch if their discs do."""
 
     def __post_init__(self) -> None:
         for changes, ends in (self.robot_steps, self.person_steps):

@@ -19,7 +19,7 @@ from h3data.geometry import IDENTITY_POSE
 NOBODY = -1
 """Number that stands for no agent, for objects that nobody holds."""
 ROBOT, HUMAN = 0, 1
-"""Numbers of the agents where there is one robot and one person. In general robots are counted first, then people."""
+"""Indices of the agents if there is one robot and one person. In general robots come first, then people."""
 
 Worlds = NDArray[np.bool_] | NDArray[np.integer] | Sequence[int] | slice
 """Selection of worlds: numbers or a mask, which copy, or a slice, which gives views."""
@@ -60,8 +60,8 @@ class RobotState(_Arrays):
     xz: NDArray[np.float64]
     """Base position on the floor [m], shape [W, 2]."""
     heading: NDArray[np.float64]
-    """[rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded quaternions
-    keep their signs continuous in time."""
+    """Heading [rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded
+    quaternions keep their signs continuous in time."""
     contact: NDArray[np.bool_]
     """True if the base touched an obstacle in the last step, shape [W]."""
     joints: NDArray[np.float64]
@@ -69,7 +69,7 @@ class RobotState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
-        """People at the origin."""
+        """Return robots at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)),
             heading=np.zeros(worlds),
@@ -87,9 +87,9 @@ class HumanState(_Arrays):
     heading: NDArray[np.float64]
     """Headings, shape [W] [rad], never wrapped."""
     distance: NDArray[np.float64]
-    """Distance walked since the start [m], drives the phase of the walking cycle; shape [W]."""
+    """Distance walked since the start [m], which determines the phase of the walking cycle; shape [W]."""
     set_off: NDArray[np.float64]
-    """Value of `distance` when the person last set off from standing [m]: there the cycle began anew; shape [W]."""
+    """Value of `distance` when the person last set off from standing [m], at which the cycle began anew; shape [W]."""
     blend: NDArray[np.float64]
     """Share of walking in the motion: 0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
@@ -98,7 +98,7 @@ class HumanState(_Arrays):
     """Height of a seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on it,
     shape [W, 2]."""
     hands: NDArray[np.float64]
-    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
+    """Places to which the hands move (`h3data.bodies.people.gestures.lead_hands`), shape [W, 4, 4]; zeros: nowhere."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
@@ -143,7 +143,7 @@ class WorldState(_Arrays):
     grip_pose: NDArray[np.float64]
     """Pose (pose7) of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
     joint_pos: NDArray[np.float64]
-    """Positions of the joints of things that open, in the order of the scene, shape [W, J] [rad or m]."""
+    """Positions of the joints of doors, drawers and the like, in the order of the scene, shape [W, J] [rad or m]."""
 
     @classmethod
     def zeros(
@@ -156,7 +156,7 @@ class WorldState(_Arrays):
         objects: int = 0,
         scene_joints: int = 0,
     ) -> WorldState:
-        """State of W worlds with everything at the origin and nothing held.
+        """Return the state of W worlds with everything at the origin and nothing held.
 
         Args:
             worlds: number of worlds W.
@@ -189,7 +189,7 @@ class WorldState(_Arrays):
 
     @cached_property
     def agents(self) -> tuple[AgentState, ...]:
-        """Robots, then people: an agent's index here is its number."""
+        """Agents: robots, then people. An agent's index here is its number."""
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
@@ -203,7 +203,7 @@ class WorldState(_Arrays):
         return self.take(np.arange(self.worlds))
 
     def take(self, worlds: Worlds) -> WorldState:
-        """State of some of the worlds."""
+        """Return the state of some of the worlds."""
         return WorldState(
             robots=tuple(robot.take(worlds) for robot in self.robots),
             people=tuple(person.take(worlds) for person in self.people),

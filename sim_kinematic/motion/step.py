@@ -25,7 +25,8 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
-"""Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
+"""Share of their speed at which robots move on stairs, in the plan, and the distance before stairs from which on they
+slow down [m]."""
 SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
 """Alternatives to strict sliding along walls, by name: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
@@ -102,7 +103,7 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
 
 @kernel(error_model="numpy", inline="always")
 def integrate_along(x, z, heading, c, s, speed, lateral, turn, dt):
-    """Returns the same as `integrate` for a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the same as `integrate` for a heading whose cosine ``c`` and sine ``s`` are known."""
     # positive angles turn from x towards -z (docs conventions), hence the minus in z
     return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
 
@@ -195,7 +196,7 @@ def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
 
 @kernel(error_model="numpy")
 def keep_worlds_apart(sdf, origin, cell, before, xz, contact, discs, radius, limit):
-    """`keep_apart` in W worlds: ``before`` and ``xz`` [W, 2], ``contact`` [W], ``discs`` [W, N, 3]; in place."""
+    """Apply `keep_apart` in W worlds, in place: ``before`` and ``xz`` [W, 2], ``contact`` [W], ``discs`` [W, N, 3]."""
     for w in range(len(xz)):
         xz[w, 0], xz[w, 1], touched = keep_apart(
             sdf, origin, cell, before[w, 0], before[w, 1], xz[w, 0], xz[w, 1], discs[w], radius, limit
@@ -356,14 +357,14 @@ def _stairs_speeds(heights, xz, out):
 
 
 def stairs_speeds(heights: np.ndarray, xz: np.ndarray) -> np.ndarray:
-    """Shares [W] of its usual speed with which a robot at ``xz`` [W, 2] goes: less on stairs, gradually less before them."""
+    """Return the shares [W] of its usual speed of a robot at ``xz`` [W, 2]: less on stairs, gradually less before them."""
     shares = np.empty(len(xz))
     _stairs_speeds(heights, xz, shares)
     return shares
 
 
 def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:
-    """Discs ``(x, z, radius)`` [W, D, 3] of a base with its discs at D offsets along its axis, at ``xz`` [W, 2]."""
+    """Return discs ``(x, z, radius)`` [W, D, 3] of a base with its discs at D offsets along its axis, at ``xz`` [W, 2]."""
     along = _offsets(tuple(offsets_m))
     discs = np.empty((len(xz), len(along), 3))
     discs[:, :, 0] = xz[:, :1] + np.cos(heading)[:, None] * along
@@ -379,7 +380,7 @@ def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
 
 
 def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
-    """``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
+    """Return ``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
     rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):

@@ -26,21 +26,22 @@ from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.step import push_out, wrap_angle
 
 PROGRESS_M = 0.02
-"""The place on the path is sought in steps of this length."""
+"""Length of the steps in which the place on the path is searched [m]."""
 CREEP_MPS, SHARP_RAD = 0.1, 0.6
-"""Speed below which people walk in any direction at once, and change of direction for which they come to a stand."""
+"""Speed below which people walk in any direction at once [m/s], and change of direction for which they stop [rad]."""
 FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
-"""People who are not yet turned to where they go, by so much, first turn if something is nearer than this room to the floor
-this far ahead of them: legs that swing while they turn in a curve would get into it."""
+"""Limits for turning first: people whose heading differs by the angle from their direction turn first if something is
+nearer than the room to the floor at the distance ahead. Legs that swing while they turn in a curve would otherwise
+enter it."""
 TURN_ROOM_M, TURN_RAD = 0.1, 1.2
-"""People who have to turn by more than this angle, and have no more room than this beside them, turn where they stand: creeping
-along a U-turn brought the broadest body's elbows 5 cm into the wall beside it."""
+"""Room beside a person, and turn, for turning on the spot: with less room and a larger turn, people turn where they
+stand. Creeping along a U-turn brought the broadest body's elbows 5 cm into the wall beside it."""
 SHOULDER_M = 0.05
-"""Distance that people who cut a corner keep beyond their radius, where there is room: the upper arms of the broadest body were
-3 cm in door posts."""
+"""Distance beyond their radius that people who cut a corner keep, where there is room [m]: the upper arms of the
+broadest body were 3 cm in door posts."""
 FACE_M, FACE_RAD = 0.6, 0.8
-"""Length of the end of a path on which people turn to what they came for, and how far sideways they walk meanwhile. Those who
-arrived first and turned then stood turning in 3% of the steps of rearrangement."""
+"""Length of the end of a path on which people turn to their target [m], and angle by which they walk sideways there
+[rad]. Those who arrived first and turned then stood turning in 3% of the steps of rearrangement."""
 STAIRS_SHARE = 0.5
 """Share of their speed with which people climb stairs, measured in the plan."""
 
@@ -61,7 +62,7 @@ def point_along(path, cumulative, along):
 
 @kernel(error_model="numpy")
 def next_waypoint_index(cumulative, along):
-    """Return the number of the first way point beyond ``along`` [m], at most the last one."""
+    """Return the number of the first waypoint beyond ``along`` [m], at most the last one."""
     k = 1
     while k < len(cumulative) - 1 and cumulative[k] <= along + 1e-9:
         k += 1
@@ -330,12 +331,12 @@ class Strider:
 
     @property
     def ahead(self) -> Array:
-        """The way points [K, 2] that they have still to walk to."""
+        """Remaining waypoints [K, 2] of the path."""
         return self._path[min(self._next, len(self._path) - 1) :]
 
     @property
     def target(self) -> Array:
-        """The way point [2] that they are walking to."""
+        """Waypoint [2] that the person walks to."""
         return self._path[min(self._next, len(self._path) - 1)]
 
     @property

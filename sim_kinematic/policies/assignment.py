@@ -24,9 +24,9 @@ from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Stil
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 
 Task = Any
-"""`sim_kinematic.tasks.task.Task`, which lies above policies."""
+"""Type of tasks, `sim_kinematic.tasks.task.Task`, which is in a layer above."""
 Episode = Any
-"""`sim_kinematic.tasks.episode.Episode`, which lies above policies."""
+"""Type of episodes, `sim_kinematic.tasks.episode.Episode`, which is in a layer above."""
 
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
@@ -60,19 +60,19 @@ COMMON: Mapping[str, Mapping[str, Callable[[Task, Episode, int], Policy]]] = {
 }
 """Factories of policies of tasks whose agents drive and walk, by kind and name."""
 SOLO = "solo"
-"""Policy of the robots in recordings in which there is none."""
+"""Name of the policy of robots in recordings without robots."""
 
 
 class AssignedPolicy(NamedTuple):
-    """The policy of one agent."""
+    """Policy of one agent."""
 
     policy: Any
     name: str
     """Name of the policy, as recorded."""
     kind: str
-    """``robot`` or ``human``."""
+    """Kind of agent: ``robot`` or ``human``."""
     plan: str = ""
-    """The plan that a planner follows in this episode; empty for others."""
+    """Plan that a planner follows in this episode; empty for others."""
 
     @property
     def is_external(self) -> bool:
@@ -81,12 +81,12 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def takes_commands(self) -> bool:
-        """Return whether commands from outside decide, given now or read from a recording that is simulated again."""
+        """Return whether commands from outside decide, live or from a recording that is simulated again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
     @property
     def takes_agent_view(self) -> bool:
-        """Return whether the policy is shown an `AgentView` in every task, also where others get a view of their own."""
+        """Return whether the policy observes an `AgentView` in every task, even if others have a view of their own."""
         return bool(getattr(self.policy, "takes_agent_view", False))
 
 
@@ -182,7 +182,7 @@ def each_of(choice: Any, count: int, kind: str) -> list[Any]:
 
 
 PolicyMaker = Callable[[Episode, int], AssignedPolicy]
-"""Makes a fresh policy for the agent with this number in one episode."""
+"""Function that makes a fresh policy for the agent with this number in one episode."""
 
 
 def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:

@@ -31,11 +31,11 @@ from sim_kinematic.sensing.table import FOLLOWER, TABLE, Pose
 
 PREFIX = "weights:"
 SHIPPED_NAVIGATORS: Mapping[str, str] = {name: f"policies/{name}.npz" for name in ("end_to_end", "end_to_end_paper")}
-"""Trained robots of social navigation that come with the package (h3data docs training)."""
+"""Trained robots of social navigation that are included in the package (h3data docs training)."""
 SHIPPED_HELPERS: Mapping[str, str] = {
     name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "plan_pop_3_pixels", "learn_pop")
 }
-"""Trained robots of rearrangement that come with the package (h3data docs populations)."""
+"""Trained robots of rearrangement that are included in the package (h3data docs populations)."""
 SHIPPED_PARTNERS: Mapping[str, str] = {
     f"{population}_partner_{k}": f"policies/{population}_partner_{k}.npz"
     for population in ("learn_single", "learn_pop")
@@ -43,7 +43,7 @@ SHIPPED_PARTNERS: Mapping[str, str] = {
 }
 """Trained people of rearrangement: of three runs of Learn-Single, and three of the eight of Learn-Pop."""
 SHIPPED: Mapping[str, str] = {**SHIPPED_NAVIGATORS, **SHIPPED_HELPERS, **SHIPPED_PARTNERS}
-"""Names of all included policies."""
+"""Names of all included learned policies."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 """Name of a file of weights with the beginning of the digest of its contents."""
 
@@ -188,7 +188,7 @@ class NavigationContext:
         return np.asarray(self._view.free.height_at(self._view.robot_xz))
 
     def path(self) -> tuple[Array, Array]:
-        """Return the shortest path to the person: its length [] [m] and its first way point [2] [m]."""
+        """Return the shortest path to the person: its length [] [m] and its first waypoint [2] [m]."""
         # a way point underfoot would give a direction that changes with every step
         view, beyond_m = self._view, self._spec.disc_radius_m / 2
         point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)

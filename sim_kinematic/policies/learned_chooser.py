@@ -1,4 +1,4 @@
-"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is taken."""
+"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is chosen."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class LearnedSkillPolicy:
         return self.choices[int(np.argmax(scores))]
 
     interrupts_only_when_close = True
-    """`interrupts` returns nothing unless ``view.close``, so that it is only asked then, with a `CloseView`."""
+    """True if `interrupts` returns nothing unless ``view.close``, so that it is only called then, with a
+    `CloseView`."""
 
     def interrupts(self, view: RearrangeView) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""

@@ -1,4 +1,4 @@
-"""A policy of single commands that backs out of where it is stuck."""
+"""Policy of single commands that leaves places where it is stuck."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 
 NEAR_M = 2.0
-"""A maneuver ends, or does not begin, where the person is nearer than this: it does not avoid them."""
+"""Distance from the person below which a maneuver ends or does not begin, as it does not avoid people [m]."""
 
 
 class Maneuvering:
-    """Policy that computes velocities from the view, and backs out of places where the base is stuck.
+    """Policy that computes velocities from the view, and leaves places where the base is stuck.
 
     When the base has not moved for a moment, it makes a maneuver (`sim_kinematic.avoidance.maneuvers`) towards the
     person. A base 1.2 m long that is wedged between two walls needs several commands to get out, the first of which

@@ -1,4 +1,4 @@
-"""A small neural network in a file: named observations in, numbers out. What ``--policy weights:FILE`` reads.
+"""Small neural network in a file, with named observations as input, for ``--policy weights:FILE``.
 
 The file is an npz of plain arrays (`save_network` lists them): nothing in it is executed when it is read, no pickle, no
 code. PyTorch is needed for none of it; `from_torch` takes over what was trained there.
@@ -24,7 +24,7 @@ from h3data.files import part_file
 FILE_FORMAT = "h3data.network/1"
 HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_network."
 RUN_POLICY = "policy.npz"
-"""The policy file in the folder of a training run."""
+"""Name of the policy file in the folder of a training run."""
 PLANES = ".planes"
 """Ending of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20
@@ -69,7 +69,7 @@ class Network:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the network's behaviour."""
         found = sha256(repr((self.task, self.observations, self.activation)).encode())
         for array in (*self.weights, *self.biases, self.mean, self.scale):
             found.update(repr(array.shape).encode() + array.tobytes())

@@ -19,7 +19,7 @@ from sim_kinematic.motion.state import HumanState
 
 # --- choices ----------------------------------------------------------------------------------------------------------
 class Velocity(NamedTuple):
-    """A base velocity of a robot or a person, and the policy's word for what it is doing."""
+    """Base velocity of a robot or a person, and the policy's word for its activity."""
 
     forward: float
     """Speed as a share of the limit, -1..1; people do not walk backwards."""
@@ -67,7 +67,7 @@ class RecordedPose(NamedTuple):
 # --- the protocol -----------------------------------------------------------------------------------------------------
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for one agent in one episode."""
+    """Protocol of a policy, which decides for one agent in one episode."""
 
     def act(self, view: Any) -> Any:
         """Return the choice for the next step, given an observation from `Task.view`."""
@@ -75,7 +75,7 @@ class Policy(Protocol):
 
 
 class External:
-    """Placeholder for somebody outside, who answers through `sim_kinematic.tasks.runner.Session.act`.
+    """Placeholder for a controller outside, which answers through `sim_kinematic.tasks.runner.Session.act`.
 
     ``interrupts_when_close``: in tasks with skills, whether they may choose anew at every step while another agent is
     close, as Habitat's learned policies must.
@@ -94,7 +94,8 @@ class External:
         )
 
     interrupts_only_when_close = True
-    """`interrupts` returns nothing unless ``view.close``, so that it is only asked then, with a `CloseView`."""
+    """True if `interrupts` returns nothing unless ``view.close``, so that it is only called then, with a
+    `CloseView`."""
 
     def interrupts(self, view: Any) -> str:
         """Return the reason to interrupt the running action and choose again; empty if there is none."""

@@ -28,9 +28,9 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
     "plan_pop_3": ("object_1", "object_2", "both"),
     "plan_pop_4": ("still", "object_1", "object_2", "both"),
 }
-"""Plans from which a partner's is sampled, again in each episode (paper section 4.2, Plan-Pop)."""
+"""Plans from which a partner's plan is sampled in each episode (paper section 4.2, Plan-Pop)."""
 ZSC = ("both", "object_1", "object_2", "still")
-"""The planners of the paper's zero-shot population (appendix)."""
+"""Planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 
@@ -82,7 +82,7 @@ class Plan(NamedTuple):
     def next(
         self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np
     ) -> tuple[Any, Plan]:
-        """Return the objects [W] to bring to their goals now, -1 where none is left or nobody asks, and where plans are then.
+        """Return the objects [W] to bring to their goals now, -1 where none is left or no choice is due, and the new plans.
 
         Args:
             asked: whether the planner chooses now, bool [W].
@@ -157,7 +157,7 @@ class Chooser:
     """
 
     prefer: Callable[[RearrangeView, list[int]], int | None]
-    """Chooses among objects that are left; None waits."""
+    """Function that chooses among the remaining objects; None means to wait."""
     _object: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
     """Objects at which it failed, and until which step it leaves them."""
@@ -206,7 +206,7 @@ def _way(view: RearrangeView, start: NDArray, k: int) -> float:
 
 
 def persons_object(view: RearrangeView) -> int:
-    """Return the object that the person holds, walks to (by their last steps) or stands at; -1: it cannot be told."""
+    """Return the object that the person holds, walks to (by their last steps) or stands at; -1 if unknown."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
@@ -251,8 +251,8 @@ ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
     "same_object": lambda: Chooser(lambda view, left: 1 if 1 in left else None),
     "still": lambda: Planner(()),
 }
-"""Makers of heuristic robots by name. ``same_object`` always rearranges the second object, as a robot learns to do whose only
-partner always takes the first (paper appendix on Plan-Pop 1)."""
+"""Functions that make heuristic robots, by name. ``same_object`` always rearranges the second object, as a robot learns
+to do whose only partner always takes the first (paper appendix on Plan-Pop 1)."""
 PARTNERS = (*POPULATIONS, *PLANS)
 
 

@@ -120,7 +120,7 @@ class RearrangeContext:
         return np.array(found).reshape((*self.held_by.shape, len(AHEAD_M), 2))
 
     def ended(self, outcome: Ending) -> Array:
-        """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [W, C]."""
+        """Return a number for each of `choices`: 1 for the agent's last one, if it ended with this outcome, [W, C]."""
         # only robots have joints of an arm to observe
         robot, objects = self.arm.shape[1] > 0, self.objects.shape[1]
         found = np.zeros((len(self._views), len(choices(objects, robot=robot, parts=self._views[0].parts))))

@@ -1,4 +1,4 @@
-"""Policies that repeat recorded choices up to a step, and then hand over to another policy."""
+"""Policies that repeat recorded choices up to a step, and then pass control to another policy."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ RESUMED = "resumed"
 
 
 def is_remote(policy: Any) -> bool:
-    """Return whether a policy lies behind a server, which is not asked for what is recorded."""
+    """Return whether a policy is behind a server, which a replay of the recording does not ask again."""
     return bool(getattr(policy, "is_remote", False))
 
 
 class NotRecorded(InputError):
-    """The episode takes another course than the recording: it needs a command where none was recorded."""
+    """The episode deviates from the recording: it needs a command where none was recorded."""
 
 
 class RecordedCommand(NamedTuple):
@@ -53,7 +53,7 @@ class RecordedCommand(NamedTuple):
 
 
 class RecordedVelocities:
-    """Policy that repeats recorded base velocities up to a step, then hands over to another policy.
+    """Policy that repeats recorded base velocities up to a step, then passes control to another policy.
 
     The other policy, if there is one, is asked in every step from ``since`` on, and its answers are dropped until ``until``. So
     it has the memory, and the action that it holds between decisions, which it had in the recording. A policy that is
@@ -129,7 +129,7 @@ class RecordedVelocities:
 
 
 class RecordedCommands:
-    """Policy that repeats commands from outside in a task with skills, then hands over to another policy."""
+    """Policy that repeats commands from outside in a task with skills, then passes control to another policy."""
 
     takes_commands = True
 
@@ -162,7 +162,7 @@ class RecordedCommands:
 
 
 class RecordedTrack:
-    """Person who follows a recorded track, whatever the others do."""
+    """Person who follows a recorded track, whatever other agents do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
         """Read the recorded track of a person.
@@ -237,18 +237,18 @@ class RecordedPolicy:
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
-    """Skill and target at each step, [T, 2]. A skill that was running when the recording broke off has no span."""
+    """Skill and target at each step, [T, 2]; a skill that was running at the end of the recording has no span."""
     until: int
-    """Step from which on ``own`` decides and the recording no longer does."""
+    """Step from which on ``own`` decides instead of the recording."""
     own: HighLevelPolicy | None = None
     since: int = 0
-    """Step from which on ``own`` decided in the recording; before it, somebody else did."""
+    """Step from which on ``own`` decided in the recording; before it, another policy did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
     surfaces: tuple[str, ...] = ()
     """Names of the surfaces at which agents look for things."""
     commands: Mapping[tuple[int, int], list[Any]] = field(default_factory=dict)
-    """Commands of ``wait`` that took no time (`told_in`); each is taken out when it is repeated."""
+    """Commands of ``wait`` that took no time (`told_in`); each is removed when it is repeated."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -302,7 +302,7 @@ class RecordedPolicy:
 
 
 def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict[tuple[int, int], list[Any]]:
-    """Other goals that an agent gave to objects, and its messages, by the step and the index of the object or -1."""
+    """Return the goals that an agent assigned to objects, and its messages, by step and index of the object (-1: message)."""
     told: dict[tuple[int, int], list[Any]] = {}
     for event in recording.events:
         if event.agent == number and event.kind == "aim" and event.target in objects:
@@ -320,7 +320,7 @@ def targets_of(
 
 
 def deciding_since(recording: Recording) -> list[int]:
-    """Return the step from which the present policy of each agent has decided, and which its memory goes back to.
+    """Return the step since which the present policy of each agent has decided, and from which its memory begins.
 
     Raises:
         InputError: The info has no such step for each agent.

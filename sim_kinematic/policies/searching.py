@@ -1,4 +1,4 @@
-"""Search for objects in a home: choice of the next place to look at, and planners that search while they have nothing to do."""
+"""Search for objects in a home: choice of the next place to check, and planners that search while they are idle."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from sim_kinematic.sensing.sight import LOOK_STEPS
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """Costs and distances by which places are searched."""
+    """Costs and distances of the search for places."""
 
     group_m: float = 1.5
-    """Places this near to each other count as seen together from one of them [m]."""
+    """Distance below which places count as visible together from one of them [m]."""
     stand_m: float = 3.0
     """Cost of a stop at a place, as a length of path [m]."""
     opening_m: float = 12.0
-    """Additional cost of opening its door or drawer, as a length of path [m]."""
+    """Additional cost of opening a place's door or drawer, as a length of path [m]."""
     theirs: float = 0.4
-    """Weight of a place that is nearer to the other agent, who may look at it too."""
+    """Weight of a place that is nearer to the other agent, who may check it too."""
     compared: int = 8
     """Number of places, the best by straight lines, that are compared by lengths of paths."""
     avoid_steps: int = 900
     """Number of steps for which a place that could not be reached is avoided."""
     pause: int = 15
-    """Number of steps that an agent waits where there is no place left to look at."""
+    """Number of steps that an agent waits if no places are left to check."""
 
 
 SEARCHING = SearchSpec()
@@ -38,14 +38,14 @@ SEARCHING = SearchSpec()
 
 @dataclass
 class Search:
-    """Search of one agent, which looks at one place after the other, first where much can be seen soon."""
+    """Search of one agent, which checks one place after the other, first where much becomes visible soon."""
 
     _place: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
     """Step until which each place is avoided."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next action of the search: to go to a place, or to open the door or drawer that shuts it."""
+        """Return the next action of the search: to go to a place, or to open the door or drawer before it."""
         assert view.places is not None
         looked, shut = view.places.looked, view.places.shut
         now, ended = self._place, view.last
@@ -108,10 +108,10 @@ def is_search(action: Action) -> bool:
 
 @dataclass
 class Seeking:
-    """Planner that searches while it has nothing to do and does not know where all objects are."""
+    """Planner that searches while it is idle and does not know where all objects are."""
 
     interrupts_every = LOOK_STEPS
-    """Number of steps after which `interrupts` is asked again: agents look around as often."""
+    """Number of steps between calls of `interrupts`, the interval at which agents look around."""
     policy: Any
     search: Search = field(default_factory=Search)
     _searches: bool = False

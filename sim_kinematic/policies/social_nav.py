@@ -33,15 +33,16 @@ class ExpertSpec:
     """Constants of the experts that find and follow a person."""
 
     keep_distance_m: float = 1.5
-    """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
+    """Distance to the person above which the expert approaches, and below which it backs away (paper section 4.1)
+    [m]."""
     slack_m: float = 0.1
-    """Distance beyond ``keep_distance_m`` within which the expert does not approach a person who comes nearer."""
+    """Distance beyond ``keep_distance_m`` within which the expert does not approach an oncoming person [m]."""
     steer_steps: int = 8
-    """Number of steps that the experts look ahead for the best direction to drive."""
+    """Number of steps that the experts look ahead when they choose a direction."""
     escape_steps: int = 30
-    """Number of steps that the experts look ahead for room to let the person pass."""
+    """Number of steps that the experts look ahead when they make room for the person."""
     margin_m: float = 0.15
-    """Gap between robot and person that the experts keep where they can [m]."""
+    """Gap between robot and person that the experts keep if possible [m]."""
     turn_cost_m: float = 0.5
     """Length of path [m] that one radian of heading error costs."""
     room_cost: float = 8.0
@@ -84,7 +85,7 @@ def _steps_to_turn(error: float, spec: BaseSpec) -> float:
 
 
 def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
-    """Return the first way point on the path to the person that is not already underfoot."""
+    """Return the first waypoint on the path to the person beyond the robot's own place."""
     path = view.free.path(view.robot_xz, view.human_xz)
     for waypoint in path[1:]:
         if np.hypot(*(waypoint - view.robot_xz).tolist()) > spec.disc_radius_m / 2:
@@ -208,7 +209,7 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Act as `sampling_expert`, but by the person's true future: go to where they can first be met, and give way in time.
+    """Act as `sampling_expert`, but with the person's true future: drive to the earliest meeting point, and give way in time.
 
     Raises:
         InputError: The person's future is unknown, because they do not follow the script of an episode.
@@ -284,5 +285,5 @@ POLICIES: dict[str, Policy] = {
     "stand_still": stand_still,
 }
 EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
-"""Experts that, chosen by name, also back out of places where they are stuck (`sim_kinematic.policies.maneuvering`).
-`heuristic_expert` has the paper's two rules and no more."""
+"""Experts that, if chosen by name, also leave places where they are stuck (`sim_kinematic.policies.maneuvering`).
+`heuristic_expert` has only the paper's two rules."""

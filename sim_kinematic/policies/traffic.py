@@ -90,7 +90,7 @@ class WalkingAgent(PersonActor):
 
 
 class ClipBody:
-    """Body with the part of `Person`'s interface that walking needs, posed by a motion clip."""
+    """Body with the part of `Person`'s interface for walking, posed by a motion clip."""
 
     look_at = None
 
@@ -148,7 +148,7 @@ class ClipBody:
 
 
 class Traffic:
-    """All agents of one world, of which those that wander choose their steps here."""
+    """All agents of one world; those that wander choose their steps here."""
 
     def __init__(self, world: World, row: int, floors: Sequence[FreeSpace]) -> None:
         """``floors`` are the floors on which the agents find their paths in world number ``row``."""

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from sim_kinematic.policies.traffic import Traffic
 
 Observe = Callable[..., dict[str, NDArray[Any]]]
-"""``observe(names, size=None, light="flat")`` returns the agent's present observations by name, equal to those of its
-environments (h3data docs environments), with pictures in a size (`sim_kinematic.sensing.eyes.PictureSize`)."""
+"""Function ``observe(names, size=None, light="flat")`` that returns the agent's present observations by name, equal to
+those of its environments (h3data docs environments), with pictures in a size
+(`sim_kinematic.sensing.eyes.PictureSize`)."""
 
 
 class AgentView(NamedTuple):
@@ -34,10 +35,10 @@ class AgentView(NamedTuple):
     agent: int
     """Number of the agent that decides."""
     kinds: tuple[str, ...]
-    """``robot`` or ``human`` for each agent, robots first."""
+    """Kind of each agent, ``robot`` or ``human``, robots first."""
     free: FreeSpace
     places: Array
-    """``(x, z, heading)`` of each agent, [A, 3]."""
+    """Place ``(x, z, heading)`` of each agent, [A, 3]."""
     before: Array
     """View of the same agent one step ago."""
     bases: tuple[BaseSpec, ...]
@@ -46,9 +47,9 @@ class AgentView(NamedTuple):
     extra: Mapping[str, Any]
     """Further data of the task, `Episode.extra`."""
     traffic: Callable[[], Traffic]
-    """Return the traffic of this world, by which agents that wander give way to each other."""
+    """Traffic of this world, by which agents that wander give way to each other."""
     crowds: Callable[[], Crowds]
-    """Returns the crowds of this world, which people who follow a model of crowds share."""
+    """Crowds of this world, which people with a model of crowds share."""
     observe: Observe | None = None
     """Function that returns the agent's observation of a name; None if observations are not computed."""
 
@@ -78,7 +79,7 @@ class SocialNavView(NamedTuple):
     geodesic_m: float
     """Length of the shortest path from robot to human [m]; infinite when there is none."""
     met: bool
-    """The robot has found the person before."""
+    """True if the robot has found the person before."""
     seed: int = 0
     """Seed of the episode, which with ``step`` determines all random numbers of a policy."""
     step: int = 0
@@ -89,8 +90,9 @@ class SocialNavView(NamedTuple):
     future: Callable[[], NDArray[np.float64]] | None = None
     """Future positions of the person after this step and each later one [K, 2], for `future_oracle` alone; None if unknown."""
     pictures: Callable[..., dict[str, NDArray[Any]]] | None = None
-    """Takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size, light="flat")`` with a size
-    (width, height) or None. They are costly, so only a policy that sees asks for them. None: nobody takes pictures."""
+    """Function that takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size,
+    light="flat")`` with a size (width, height) or None. Pictures are costly, so only policies with pictures call it.
+    None: there are no pictures."""
     observe: Observe | None = None
     """Function that returns the agent's observation of a name; None if observations are not computed."""
 
@@ -99,7 +101,7 @@ class CloseView(NamedTuple):
     """Observation of policies whose ``interrupts_only_when_close`` is true while they may interrupt a skill."""
 
     action: Action
-    """Skill that is running."""
+    """Running skill."""
     close: bool = True
 
 
@@ -113,7 +115,7 @@ class RearrangeView(NamedTuple):
     xz: NDArray[np.float64]
     heading: float
     other_xz: NDArray[np.float64]
-    """Position of the other agent, the nearest if there are several; NaN if there is none."""
+    """Position of the other agent, of several the nearest; NaN if there is none."""
     other_track: NDArray[np.float64]
     """Past positions of the other agent, the newest last, shape [N, 2] [m]."""
     close: bool
@@ -140,7 +142,7 @@ class RearrangeView(NamedTuple):
     contact: bool
     """True if the robot's base touched an obstacle in the last step."""
     collision: bool
-    """Agents touch now."""
+    """True if agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
     """Function that returns the number of the door or drawer that has to be opened first to take an object or, with
     True, to bring it from there to its goal; -1 if there is none."""
@@ -152,9 +154,9 @@ class RearrangeView(NamedTuple):
     messages: Sequence[Event] = ()
     """Messages so far that the agent has said or heard (`h3data.recording.log_lines.SAY`)."""
     parts: tuple[int, ...] = ()
-    """Joints of the M doors and drawers that the agent may choose to open by number."""
+    """Joints of the M doors and drawers that the agent may open by number."""
     open_parts: NDArray[np.bool_] = np.zeros(0, np.bool_)
-    """True for those of them that stand at least ajar, [M]."""
+    """True for doors and drawers that are at least ajar, [M]."""
     handles: NDArray[np.float64] = np.zeros((0, 3))
     """Places of the handles of doors and drawers at rest, [M, 3] [m]."""
 

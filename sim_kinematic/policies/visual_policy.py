@@ -34,19 +34,19 @@ FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
 """Side of the squares of pixels that become channels, so that the first convolution works on a 16th of the positions."""
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
-"""Number of planes of each picture that a network may observe. It observes one of them at most."""
+"""Number of planes of each picture that a network may observe. A network observes at most one of them."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
-"""Numbers of an action that move the base, and that close the hand where the arm's joints move."""
+"""Number of values of an action that move the base, and that close the hand if the arm's joints move."""
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The text in a policy file."""
+    """Text in a policy file."""
 
     task: str
     robot: str
-    """Body of the robot that the policy was trained with."""
+    """Body of the robot in training."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
     """Width and height of the picture and of the detector's [pixels]."""
@@ -54,7 +54,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Light in the colours of training, which the policy also observes in play. Files without this entry were trained in flat
     light."""
     hold: int
-    """Steps of 1/30 s for which an action is held."""
+    """Number of steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
     """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
@@ -92,7 +92,7 @@ class CardedNetwork:
 
     @property
     def sees(self) -> str | None:
-        """Return which of `PICTURES` the policy observes."""
+        """Return which pictures of `PICTURES` the policy observes."""
         return picture_in(self.card.observations)
 
     def start(self) -> Array:
@@ -168,7 +168,7 @@ class VisualPolicy(CardedNetwork):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the policy's behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
         if card.network != "cnn_gru":
@@ -301,7 +301,7 @@ def _windows(x: Array, stride: int) -> tuple[Array, tuple[int, int]]:
 
 @kernel()
 def affine(x: Array, columns: Array, bias: Array) -> Array:
-    """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
+    """Compute ``x @ columns + bias`` of [n, in], [in, out], [out], in float32; sums are in the order of the inputs."""
     out = np.empty((len(x), len(bias)), np.float32)
     for row in range(len(x)):
         out[row] = bias

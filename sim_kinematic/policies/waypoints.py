@@ -19,7 +19,7 @@ class WaypointPolicy(WaypointHuman):
     """Scripted person of social navigation, who walks shortest paths to random points (paper section 4.1) and avoids nobody."""
 
     def act(self, view: AgentView) -> WaypointAction | PoseAction:
-        """Return the way point to walk to, or the next stride."""
+        """Return the waypoint to walk to, or the next stride."""
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
     def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:

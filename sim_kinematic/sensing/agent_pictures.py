@@ -117,7 +117,7 @@ class AgentPictures:
 
     @property
     def in_colour(self) -> bool:
-        """Return whether one of them shows colours, which depend on the light of the home."""
+        """Return whether one of the pictures shows colours, which depend on the light of the home."""
         return any(in_colour(name, self._body) for name in self.names)
 
     def limits(self, name: str) -> Limits:

@@ -56,7 +56,7 @@ class _Drawn:
 
 
 class StateRenderer:
-    """Renderer of a home with robots, people and objects in W worlds that differ in what moves. Each thread needs its own."""
+    """Renderer of a home with robots, people and objects in W worlds that differ in moving things. One per thread."""
 
     def __init__(
         self,
@@ -377,7 +377,7 @@ class CameraSensor:
     """Number of the agent that carries the camera."""
     outputs: tuple[Output, ...] = ("depth",)
     depth_range_m: tuple[float, float] | None = None
-    """Range to which depth is clipped before it is scaled to 0..1, as in Habitat; None leaves metres."""
+    """Range to which depth is clipped before it is scaled to 0..1, as in Habitat [m]; None: depth stays in metres."""
     size: tuple[int, int] | None = None
     """Width and height [pixels] instead of the camera's own; its field of view stays."""
 

@@ -17,7 +17,7 @@ from sim_kinematic.sensing.table import HUMANOID_GPS, OF_SKILLS, SENSES, TABLE, 
 SPEED_MPS = 2.5
 """Divisor of velocities and ranges, the robot's speed limit [m/s]."""
 DETECTOR = "humanoid_detector"
-"""Name of a flag that is computed from a picture, and therefore is no row of the table."""
+"""Name of a flag that is computed from a picture, and is therefore not in the table."""
 _FLAG = Sensor(abs, (0.0,), (1.0,))
 """Stand-in for its row."""
 
@@ -98,4 +98,4 @@ OF_COMMANDS: Mapping[str, Encoding] = {
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
 } | {DETECTOR: _of_choices(_FLAG)}
-"""Observations that networks of choices can read, besides the sensors that are one of their choices."""
+"""Observations that networks of choices can read, besides the sensors that are among their choices."""

@@ -1,4 +1,4 @@
-"""Pictures of one agent in one world for policies that ask for them, equal to those of training environments."""
+"""Pictures of one agent in one world for policies that request them, equal to those of training environments."""
 
 from __future__ import annotations
 

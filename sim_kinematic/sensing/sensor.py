@@ -32,7 +32,7 @@ DETECTED_PIXELS = 1000
 DEPTH_RANGE_M = (0.0, 10.0)
 """Range to which observed depth is clipped, then scaled to 0..1, as in Habitat [m]."""
 FAR_M = 1000.0
-"""Length that stands for a path that does not exist; no home is as large [m]."""
+"""Length for a path that does not exist [m]; no home is as large."""
 FAST = 10.0
 """Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 RANGES = 12
@@ -68,7 +68,7 @@ def _wrapped(xp: Any, angle: Any) -> Any:
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Points ``(x, z)`` [..., 2] as seen from a base at [..., 2] with heading [...]: ``(forward, left)`` [..., 2] [m]."""
+    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at [..., 2] with heading [...]."""
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
@@ -266,12 +266,12 @@ class Detection(NamedTuple):
     """Output of the humanoid detector for pictures [..., H, W]."""
 
     found: NDArray[np.float32]
-    """Number 1 where more than `DETECTED_PIXELS` pixels show a person, else 0, shape [...]."""
+    """Value 1 if more than `DETECTED_PIXELS` pixels show a person, else 0, shape [...]."""
     mask: NDArray[np.float32]
-    """Number 1 in the pixels that show a person, else 0, shape [..., H, W]."""
+    """Value 1 in the pixels that show a person, else 0, shape [..., H, W]."""
     box: NDArray[np.float32]
-    """Number 1 in the rectangle around them, else 0, shape [..., H, W]. As in Habitat, without its last row and its last
-    column."""
+    """Value 1 in the rectangle around these pixels, else 0, shape [..., H, W]. As in Habitat, the last row and the last
+    column are left out."""
 
 
 def detect_humanoids(
@@ -326,7 +326,7 @@ def _facing(gap, heading):
 
 # --- noise: off unless called -------------------------------------------------------------------------------------------
 NoiseModel = Callable[..., ArrayLike]
-"""``model(values, rng=rng)``: exact values of a sensor with noise. `depth_with_noise` is one, and
+"""Function ``model(values, rng=rng)`` that adds noise to exact values of a sensor, such as `depth_with_noise` and
 ``partial(with_noise, sigma=0.05)``."""
 
 

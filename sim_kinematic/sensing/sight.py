@@ -1,4 +1,4 @@
-"""Memories of what agents in one home have seen: things, and places where things may lie.
+"""Memories of the things that agents in one home have seen, and of places where things may lie.
 
 Walls and furniture are known from the start. A thing is known once a ray from an agent's eyes meets it, and stays known where
 it was last seen, until that place is seen without it. A place has been looked at once a ray meets its middle; one that is shut
@@ -25,13 +25,13 @@ from sim_kinematic.motion.state import NOBODY
 
 Flags = NDArray[np.bool_]
 HALF_VIEW = math.radians(55.0)
-"""Largest angle on the floor plane between where an agent faces and what it sees [rad]."""
+"""Largest angle on the floor plane between an agent's heading and what it sees [rad]."""
 THING_M, PLACE_M = 8.0, 5.0
 """Largest distances at which things and places are recognized [m]."""
 NEAR_M = 1.2
 """Distance within which an agent sees in all directions [m]: it turns its head."""
 LOOK_STEPS = 6
-"""Number of steps from one look to the next."""
+"""Number of steps between two looks."""
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
 MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
@@ -43,9 +43,9 @@ class Places(NamedTuple):
     """Surfaces on which things may lie, as one agent knows them."""
 
     points: NDArray[np.float64]
-    """Middle of each surface, [S, 3] [m]."""
+    """Centre of each surface, [S, 3] [m]."""
     looked: Flags
-    """True for each surface at which the agent has looked, [S]."""
+    """True for each surface that the agent has checked, [S]."""
     shut: NDArray[np.int64]
     """Number of the door or drawer that has to be opened first, [S]; -1: none."""
 
@@ -56,7 +56,7 @@ class Boxes(NamedTuple):
     turned: NDArray[np.float64]
     """Rotation from the world to the axes of each box [B, 3, 3]."""
     centers: NDArray[np.float64]
-    """Middle of each [B, 3] [m]."""
+    """Centre of each box [B, 3] [m]."""
     halves: NDArray[np.float64]
     """Half of the size of each box, [B, 3] [m]."""
     bounds: NDArray[np.float64]
@@ -64,7 +64,7 @@ class Boxes(NamedTuple):
 
 
 class Sight:
-    """The memories of all agents of one world."""
+    """Memories of all agents of one world."""
 
     def __init__(self, scene: Scene, bodies: Sequence[Body], things: int, floor_y: float) -> None:
         joints, boxes = joints_of(scene), []
@@ -194,7 +194,7 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
 
 
 def eye_height(body: Body) -> float:
-    """Height of an agent's eyes over the floor [m]: of a robot, that of its highest camera at rest, else of its body's top."""
+    """Return the height of an agent's eyes [m]: of a robot, its highest camera at rest, or else the top of its body."""
     if not isinstance(body, Robot):
         return EYE_SHARE * body.height_m
     links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
@@ -202,5 +202,5 @@ def eye_height(body: Body) -> float:
 
 
 def surface_names(scene: Scene) -> tuple[str, ...]:
-    """Names ``instance|receptacle`` of the surfaces of a home, as `SEARCH` numbers them."""
+    """Return the names ``instance|receptacle`` of the surfaces of a home, as `SEARCH` numbers them."""
     return tuple(f"{instance.name}|{receptacle.name}" for instance, receptacle in scene.receptacles())

@@ -69,7 +69,7 @@ class Context(Protocol):
     before: Any
     start: Any
     other: Any
-    """The other agent."""
+    """State of the other agent."""
     other_before: Any
     contact: Any
     """True if the agent touched an obstacle in the last step, bool [...]."""
@@ -87,11 +87,11 @@ class Context(Protocol):
     close: Any
     """True if the other agent is inside the ellipse in which skills may be interrupted, bool [...]."""
     handles: Any
-    """Handles of the M doors and drawers that agents may choose to open, at rest [..., M, 3] [m]."""
+    """Handles of the M doors and drawers that agents may open, at rest [..., M, 3] [m]."""
     open_parts: Any
-    """True if the door or drawer stands at least ajar, bool [..., M]."""
+    """True if the door or drawer is at least ajar, bool [..., M]."""
     steps: Any
-    """Steps since the episode began [...]."""
+    """Number of steps since the episode began [...]."""
     target: Any
     """Target of a skill [..., 3] [m]."""
     resting: Any
@@ -102,7 +102,7 @@ class Context(Protocol):
         ...
 
     def path(self) -> tuple[Any, Any]:
-        """The shortest path to where the agent is to go: its length [...] [m] and a point near its beginning [..., 2] [m]."""
+        """Return the shortest path to the agent's goal: its length [...] [m] and a point near its beginning [..., 2] [m]."""
         ...
 
     def clearance(self, points: Any) -> Any:
@@ -110,7 +110,10 @@ class Context(Protocol):
         ...
 
     def free_along(self, headings: Any, max_m: float) -> Any:
-        """Distance [..., R] [m], at most ``max_m``, from the agent along headings [..., R] [rad] to the nearest obstacle."""
+        """Return the distance [..., R] [m] from the agent along headings [..., R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         ...
 
     def circles(self, *, legs: bool) -> Any:
@@ -141,24 +144,24 @@ class Context(Protocol):
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """Return the number for each of the agent's C choices: 1 for the last one, if it ended in this way, [..., C]."""
+        """Return a number for each of the agent's C choices: 1 for the last one, if it ended with this outcome, [..., C]."""
         ...
 
 
 class SensorContext(NamedTuple):
-    """Inputs of sensors: one agent of each world now, for worlds whose agents drive and walk, on the CPU and on devices.
+    """Input of sensors: one agent of each world, for worlds whose agents drive and walk, on the CPU and on devices.
 
     On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`.
     """
 
     spec: Any
-    """The task's rules."""
+    """Rules of the task."""
     base: BaseSpec
     """Discs and limits of the agent."""
     memory: Any
     """State that the task stores between steps (`WorldRollout.memory`), for its own sensors."""
     episodes: Sequence[Any]
-    """The episode of each world."""
+    """Episode of each world."""
     world: World
     agent: int
     now: AgentState
@@ -166,7 +169,7 @@ class SensorContext(NamedTuple):
     """State of the same agent one step ago."""
     start: AgentState
     other: AgentState
-    """The other agent: of a robot the first person, of a person the first robot, else the next agent."""
+    """State of the other agent: for a robot the first person, for a person the first robot, else the next agent."""
     other_before: AgentState
     contact: NDArray[np.bool_]
     """True if the agent touched an obstacle in the last step, [W]."""
@@ -175,7 +178,7 @@ class SensorContext(NamedTuple):
     arm: Array
     """Positions of the joints of the resting arm, [W, n]; for a person [W, 0]."""
     path: Callable[[], tuple[Array, Array]]
-    """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
+    """Shortest path to the other agent: its length [W] [m] and its first waypoint [W, 2] [m]."""
     xp: Any = np
 
     @property
@@ -192,7 +195,10 @@ class SensorContext(NamedTuple):
         return self.world.clearance(points)
 
     def free_along(self, headings: Array, max_m: float) -> Array:
-        """Distance [W, R] [m], at most ``max_m``, from the agent along headings [W, R] [rad] to the nearest obstacle."""
+        """Return the distance [W, R] [m] from the agent along headings [W, R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         return self.world.free_along(self.now.xz, headings, max_m)
 
     def circles(self, *, legs: bool) -> Array:
@@ -210,10 +216,11 @@ class SensorContext(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """An observation that is no picture."""
+    """An observation that is not a picture."""
 
     of: Callable[[Any], Any]
-    """Values [..., n] of a `Context`, of worlds whose agents drive and walk [W, n] of a `SensorContext`."""
+    """Function that returns values [..., n] from a `Context`, or [W, n] from a `SensorContext` of worlds whose agents
+    drive and walk."""
     low: ArrayLike
     """Least values of one unit of the sensor; their number is the width of a unit."""
     high: ArrayLike
@@ -316,7 +323,7 @@ _OTHER_VELOCITY = Sensor(
 
 # --- the table ----------------------------------------------------------------------------------------------------------
 HUMANOID_GPS = "humanoid_gps"
-"""The paper's name of distance and direction of the other agent."""
+"""Name in the paper of distance and direction of the other agent."""
 TABLE: Mapping[str, Sensor] = {
     # of any agent
     HUMANOID_GPS: _OTHER_GPS,
@@ -408,7 +415,7 @@ TABLE: Mapping[str, Sensor] = {
 }
 """Every sensor by name (h3data docs environments)."""
 LIDARS = ("lidar", "lidar_legs")
-"""Laser scanners that see agents, as discs or by their legs."""
+"""Names of laser scanners that see agents, as discs or by their legs."""
 
 
 OF_SKILLS = (
@@ -444,9 +451,9 @@ SENSES: Mapping[str, Sensor] = {
 }
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
-"""Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""
+"""Observations available to a robot that follows a person, in training and in play, on the CPU and on devices."""
 STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
-"""Default observations of agents that drive and walk: they cost no picture."""
+"""Default observations of agents that drive and walk, which need no picture."""
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)
 """Observations of the paper's policy of social navigation (appendix). They need a picture in every step."""
 HABITAT_SENSES = (

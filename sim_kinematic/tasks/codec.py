@@ -1,4 +1,4 @@
-"""Form of an episode outside the simulator: its record in files, its entries in a recording, its identity and instruction.
+"""Codecs of episodes outside the simulator: records in files, entries in recordings, identity and instruction.
 
 A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
 `TaskCodec` is that of all tasks whose episodes are an `Episode` with nothing of their own.
@@ -51,11 +51,11 @@ class EpisodePlace:
     spec: Any
     """Rules of the episode."""
     agents: tuple[str, ...] | None = None
-    """Roster that replaces the usual one."""
+    """Roster that replaces the default one."""
     robot: str | None = None
-    """Body that replaces the usual one of robots that are named by their kind."""
+    """Body that replaces the default one of robots that are named by their kind."""
     human: str | None = None
-    """Body that replaces the usual one of people who are named by their kind."""
+    """Body that replaces the default one of people who are named by their kind."""
     assets: tuple[str, ...] = ()
     """Asset folders for objects that the episode adds."""
 
@@ -70,7 +70,7 @@ class EpisodeCodec(Generic[R]):
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
     foreign: ClassVar[str] = ""
-    """Key in ``extra`` of other tools' episodes that the codec understands, such as PARTNR's; empty: there are none."""
+    """Key in ``extra`` of other tools' episodes that the codec supports, such as PARTNR's; empty: there are none."""
 
     def __init__(self, task: Any) -> None:
         """Make the codec of a `sim_kinematic.tasks.task.Task`."""
@@ -149,7 +149,7 @@ class EpisodeCodec(Generic[R]):
         return {"ended": play.ended}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Return the identity of an episode's recording: the same inputs give the same one."""
+        """Return the identity of an episode's recording, which is equal for equal inputs."""
         raise NotImplementedError
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
@@ -191,7 +191,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     starts: tuple[Start, ...]
     """Start of each agent."""
     agents: tuple[str, ...]
-    """The roster, as ``robot:quad_arm``."""
+    """Roster of agents, such as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Further data of the task, `Episode.extra`."""
     seed: int = 0
@@ -263,7 +263,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         )
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts and `Episode.extra`."""
+        """Return the policies, rules, starts and `Episode.extra`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],

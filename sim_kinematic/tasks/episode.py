@@ -32,10 +32,10 @@ class TaskSpec:
 
     max_steps: int = 1500
     spawn_distance_m: float = 5.0
-    """Least distance between any two agents at the start, where there is room."""
+    """Least distance between any two agents at the start, where there is room [m]."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
-    """Size of the agent for which the free floor is computed, that of Habitat's navigation mesh for Spot."""
+    """Height of the agent for which the free floor is computed, that of Habitat's navigation mesh for Spot [m]."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
@@ -50,9 +50,9 @@ class Episode:
     free: FreeSpace
     seed: int
     spec: Any
-    """The task's frozen dataclass."""
+    """Rules of the task, a frozen dataclass."""
     roster: tuple[AgentSpec, ...]
-    """Robots, then people."""
+    """Agents: robots, then people."""
     starts: Array
     """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)

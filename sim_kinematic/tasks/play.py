@@ -1,4 +1,4 @@
-"""Rollouts of episodes in W worlds of one task, or in one world whose agents are asked in turn."""
+"""Rollouts of episodes in W worlds of one task, or in one world whose agents choose in turn."""
 
 from __future__ import annotations
 
@@ -232,12 +232,12 @@ class WorldRollout:
 
     @property
     def at_goal(self) -> NDArray[np.bool_]:
-        """Return which things are at their goals and in nobody's hand, [W, K]; only of agents with skills."""
+        """Return which things are at their goals and in nobody's hand, [W, K]; only for agents with skills."""
         return self.team.at_goal[None]
 
     @property
     def open_parts(self) -> NDArray[np.bool_]:
-        """Return which of the doors and drawers of `Rearrange.parts_of` stand at least ajar, [W, M]; only with skills."""
+        """Return which of the doors and drawers of `Rearrange.parts_of` are at least ajar, [W, M]; only with skills."""
         return self.team.open_joints[list(self.team.parts)][None]
 
     def extra(self, name: str) -> NDArray[Any]:
@@ -261,7 +261,7 @@ class WorldRollout:
 
     @property
     def out_of_time(self) -> NDArray[np.bool_]:
-        """Return the worlds whose episode has had all its steps, [W]."""
+        """Return which worlds' episodes have reached the time limit, [W]."""
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> Any:

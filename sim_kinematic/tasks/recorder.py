@@ -228,7 +228,7 @@ class Recorder:
         return self.play.columns([self.latest], len(self) - 1)
 
     def flush(self) -> None:
-        """Hand all rows to the sink now, so that a crash from here on loses none of them."""
+        """Pass all rows to the sink now, so that a crash from here on loses none of them."""
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:

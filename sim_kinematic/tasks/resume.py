@@ -189,11 +189,11 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
 
 
 class AddedTime(NamedTuple):
-    """Time that robots cost one person."""
+    """Time by which robots delay one person."""
 
     person: str
     goals: int
-    """Number of goals that the person leaves in the recording as well as without robots, one after another."""
+    """Number of goals, one after another, that the person leaves both in the recording and without robots."""
     seconds: float | None
     """Time at which people leave their last goal, minus that without robots [s]; None without such a goal."""
 

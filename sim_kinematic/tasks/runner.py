@@ -28,7 +28,7 @@ from sim_kinematic.world import Command
 
 
 class DecisionLoop:
-    """Loop over the turns of an episode, which stops where an agent must decide and at the end of each step."""
+    """Loop over the turns of an episode, which pauses when an agent must decide and at the end of each step."""
 
     def __init__(self, play: WorldRollout) -> None:
         self._play, self._left = play, play.spec.max_steps
@@ -406,7 +406,7 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """End the session and return its recording; if the episode has not ended, ``info["ended"]`` says so.
+        """End the session and return its recording; ``info["ended"]`` states if the episode was stopped before its end.
 
         ``info`` is recorded too: entries that the caller knows only now.
         """

@@ -1,4 +1,4 @@
-"""Implementation of `h3data.session` and `h3data.simulate`, which play one episode that is chosen by names."""
+"""Implementation of `h3data.session` and `h3data.simulate`, which play one episode by names."""
 
 from __future__ import annotations
 

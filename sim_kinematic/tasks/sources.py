@@ -26,7 +26,7 @@ Scenes = str | os.PathLike[str] | Scene | Sequence[str | os.PathLike[str] | Scen
 
 
 class Home:
-    """A scene to play in, with its free floor."""
+    """Scene for episodes, with its free floor."""
 
     def __init__(self, source: Scene | SceneSource, radius_m: float, height_m: float) -> None:
         self.source, self._size = source, (radius_m, height_m)
@@ -130,7 +130,7 @@ def _sampled(task: Task, scene: Scene, free: FreeSpace, seed: int, spec: Any, ro
 
 
 def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
-    """Scenes by name, as the command line takes them, and given ones, one after the other.
+    """Return scenes by name, as the command line takes them, and given ones, one after the other.
 
     Raises:
         InputError: There are no such scenes.

@@ -83,11 +83,11 @@ class TaskUsage:
     """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
     raises an `InputError` if a value is not allowed."""
     env_partners: Mapping[str, str] = field(default_factory=dict)
-    """Policies of the agents that do not act in an environment, by kind, where they are not those of `Task.defaults`."""
+    """Policies of the agents that do not act in an environment, by kind, if they differ from `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
-    """Kinds of agents whose policy a job names even if it is the default one."""
+    """Kinds of agents whose policy a job names even if it is the default."""
     bodies_in_agents: bool = False
-    """True if the body that ``--human`` names is written into the roster, for each person of it."""
+    """True if the body of ``--human`` is written into the roster, for each person of it."""
     crosses_partners: bool = False
     """True if an evaluation plays every policy with every partner by default."""
     can_be_solo: bool = False
@@ -108,16 +108,16 @@ class Task:
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     control: ClassVar[Control] = VelocityControl()
-    """Control of its agents: velocities and way points, or skills. It says what carries choices out, how they are
-    recorded, and what agents report to be doing."""
+    """Control of its agents: velocities and waypoints, or skills. It determines what carries out choices, how they are
+    recorded, and what agents report."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """Type (dtype) of each column in `StepOutcome.columns`."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, besides those of every task (`sim_kinematic.policies.assignment.COMMON`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
-    """Name of the policy of each kind where none is chosen."""
+    """Name of the default policy of each kind."""
     usage: ClassVar[TaskUsage] = TaskUsage()
-    """Use of the task by datasets, evaluations and environments, where it is not the usual one."""
+    """Use of the task by datasets, evaluations and environments, if it differs from the default."""
 
     def __init_subclass__(cls) -> None:
         for old, new in _MOVED.items():

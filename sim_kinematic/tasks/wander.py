@@ -35,7 +35,7 @@ class WanderCodec(TaskCodec):
         return "walk about the home"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Rules, starts and, where they differ from the default, policies for the recording's info."""
+        """Return the rules, the starts and, where they differ from the default, the policies for the recording's info."""
         info: dict[str, Any] = {
             "max_steps": episode.spec.max_steps,
             "spec": rules_dict(episode.spec),

@@ -1,4 +1,4 @@
-"""Applications to play: a task with its rules, words, markers. An app of your own is a subclass, found as ``module:Class``."""
+"""Applications to play: a task with its rules, words and markers. Your own app is a subclass, given as ``module:Class``."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ class Hud:
     lines: tuple[str, ...] = ()
     """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
-    """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
-    page's own hints. Where it has nothing, the page says what could be done now."""
+    """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), instead of the page's
+    own hints. For devices without an entry, the page lists the possible actions."""
     marker: tuple[float, float, float] | None = None
-    """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
+    """Point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
     uses: tuple[str, ...] = ()
-    """For each object what the player can do to it in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or nothing."""
+    """Actions of the player on each object in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """Place to which an object has to go; goal number k is that of object number k."""
+    """Goal of an object; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
     """Goal position of the object's origin [m]."""
@@ -48,10 +48,10 @@ class Goal:
 
 
 class Phrase(NamedTuple):
-    """A message that a player sends by one press."""
+    """A message that a player sends by pressing a button."""
 
     label: str
-    """Words on the page."""
+    """Words of the button on the page."""
     text: str
     """Text of the message."""
 
@@ -60,21 +60,21 @@ class Spot(NamedTuple):
     """A place that a player can choose from a list."""
 
     name: str
-    """Name by which a message ``bring`` has it."""
+    """Name of the place in a message ``bring``."""
     label: str
     room: str
-    """Words for the place, and for the room under which it is listed."""
+    """Words for the room under which the place is listed."""
 
 
 class App:
-    """Application for people who play an episode of a task. The defaults suit any task; a subclass changes what is different.
+    """Application for people who play an episode of a task. The defaults suit any task; a subclass overrides what differs.
 
     An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
     happened, `hud` for what each player reads.
     """
 
     task: ClassVar[str | type[Task]] = ""
-    """Class of the task, its name, or ``module:Class``."""
+    """Task: its class, its name, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
     """Rules of the task that differ where people play it."""
     seats: ClassVar[tuple[str, ...]] = ("person",)
@@ -92,18 +92,20 @@ class App:
     """Reason why the episode has ended: by its rules, by a player or by the app; empty while it is running."""
 
     def reset(self, session: Session) -> None:
-        """Begins an episode."""
+        """Begin an episode."""
         self.session = session
 
     def driver(self, number: int) -> Driver:
-        """Returns the driver with which a player moves agent ``number``: one with skills, if the task has them."""
+        """Return the driver with which a player moves agent ``number``: one with skills, if the task has them."""
         if not self.session.task.control.has_skills:
             return Driver(self.session, number)
         is_person = self.session.episode.roster[number].kind == "human"
         return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:
-        """Reason why a message of the player of agent ``number`` is not carried out now, as a sentence; empty if it is.
+        """Return the reason why a message of the player of agent ``number`` is not carried out now; empty if it is.
+
+        The reason is a sentence.
 
         Like everything in an app, it may depend only on messages and the world, so that a game can continue after a
         crash.
@@ -112,48 +114,48 @@ class App:
         return ""
 
     def on_input(self, number: int, message: Act) -> None:
-        """Takes note of a message of the player of agent ``number``, which has been accepted."""
+        """Handle a message of the player of agent ``number``, which has been accepted."""
 
     def step(self, result: StepResult) -> str:
-        """Takes note of a step; a text ends the episode for the reason that it names."""
+        """Handle the end of a step; a text that is returned ends the episode for that reason."""
         del result
         return ""
 
     def hud(self, number: int) -> Hud:
-        """Text for the player of agent ``number``, or for spectators (-1)."""
+        """Return the text for the player of agent ``number``, or for spectators (-1)."""
         del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
 
     def goals(self) -> list[Goal]:
-        """Markers in the home: where things have to go, in tasks that have such goals."""
+        """Return the markers in the home: the goals of things, in tasks that have such goals."""
         targets = getattr(self.session.episode, "targets", ())
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
-        """Messages that are sent by one press. Where there are some, the page has a box for others too."""
+        """Return messages that are sent by one press. If there are any, the page has a box for others too."""
         return []
 
     def spots(self) -> list[Spot]:
-        """Places to which players can bring what they hold, by name."""
+        """Return places to which players can bring what they hold, by name."""
         return []
 
     def spoken(self, text: str) -> str:
-        """Words of a message of another agent, as players read them."""
+        """Return the words of a message of another agent, as players read them."""
         return text
 
     def label(self, name: str) -> str:
-        """The word for an object of the recording."""
+        """Return the word for an object of the recording."""
         return name.rpartition("/")[2].replace("_", " ")
 
     def joint_label(self, name: str) -> str:
-        """Words for a door or drawer ``thing/part``."""
+        """Return the words for a door or drawer ``thing/part``."""
         thing, _, part = name.rpartition("/")
         words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """Text for the player at the end."""
+        """Return the text for the player at the end."""
         ended = self.session.ended or self.ended
         return {
             "success": "Done. Thank you!",
@@ -171,7 +173,7 @@ class App:
 
 
 def sentence_of(words: str) -> str:
-    """An instruction as a sentence."""
+    """Return an instruction as a sentence."""
     return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
 
 
@@ -187,7 +189,7 @@ _APPS: Registry[Any] = Registry("h3data.apps", {}, what="app", check=_require_ap
 
 
 def find_app(name: str) -> type[App]:
-    """The app with a name, or ``module:Class``, where the class may also be that of a task.
+    """Return the app with a name, or ``module:Class``, where the class may also be that of a task.
 
     Raises:
         InputError: there is none.

@@ -1,4 +1,4 @@
-"""Files that a client needs once for each home and cast.
+"""Files that a client needs once for each home and set of agents.
 
 They are a GLB of everything, a manifest that says how states move its parts, and the distance grid on which the client
 predicts the player's own walk.
@@ -34,7 +34,7 @@ from sim_kinematic.tasks.recorder import finished
 from sim_kinematic.tasks.runner import Session
 
 GRID_UNIT_M = 1e-3
-"""Distances of the grid are rounded to this: a prediction is no better than its grid."""
+"""Unit to which distances of the grid are rounded [m]: a prediction is as exact as its grid."""
 
 
 def world_glb(session: Session) -> bytes:
@@ -59,13 +59,13 @@ def _anonymous(recording: Any) -> Any:
 
 
 def distance_grid(session: Session) -> tuple[bytes, dict[str, Any]]:
-    """The distance to the nearest obstacle, int16 [nx, nz], and its entry in the manifest."""
+    """Return the distance to the nearest obstacle, int16 [nx, nz], and its entry in the manifest."""
     data, entry = _grid(session.episode.free)
     return data, {**entry, "url": f"world/{digest(data)}.sdf"}
 
 
 def floor_message(free: FreeSpace) -> dict[str, Any]:
-    """A distance grid in place of the one that pages have, with its cells as Base64 of zlib data."""
+    """Return the message with a new distance grid for pages, with its cells as Base64 of zlib data."""
     data, entry = _grid(free)
     return {**entry, "cells": base64.b64encode(zlib.compress(data, 6)).decode()}
 
@@ -82,7 +82,7 @@ def _grid(free: FreeSpace) -> tuple[bytes, dict[str, Any]]:
 
 
 def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
-    """Names, rigs and rules of motion; ``me`` is -1, which the front replaces by the player's agent."""
+    """Return names, rigs and rules of motion; ``me`` is -1, which the front replaces by the player's agent."""
     header, episode = session.recorder.header, session.episode
     moving = sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)
     agents = []
@@ -123,7 +123,7 @@ def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any
 
 
 def digest(data: bytes) -> str:
-    """Name of a file by its content."""
+    """Return the name of a file by its content."""
     return hashlib.sha256(data).hexdigest()[:20]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 Letter = tuple[str, str, Any]
-"""Message: its kind, its game or seat, and its content of plain types."""
+"""Message between processes: its kind, its game or seat, and its content of plain types."""
 _LENGTH = 4
 _encoder = msgspec.msgpack.Encoder()
 _decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)
@@ -26,7 +26,7 @@ def encode(kind: str, key: str, body: Any) -> bytes:
 
 
 async def receive(reader: asyncio.StreamReader) -> Letter:
-    """The next letter.
+    """Return the next letter.
 
     Raises:
         asyncio.IncompleteReadError: the other side is gone.
@@ -36,18 +36,18 @@ async def receive(reader: asyncio.StreamReader) -> Letter:
 
 
 class Closed(Exception):
-    """The other side is gone."""
+    """The other side has closed the channel."""
 
 
 class Channel:
-    """The worker's end: waits for letters at most as long as it has time."""
+    """Worker's end of the channel: it waits for letters no longer than its time allows."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket, self._buffer = sock, bytearray()
         sock.setblocking(True)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Sends a letter; waits where the front is slow.
+        """Send a letter; wait if the front is slow.
 
         Raises:
             Closed: the front is gone.
@@ -58,7 +58,7 @@ class Channel:
             raise Closed from None
 
     def receive(self, wait_s: float) -> list[Letter]:
-        """The letters that have come, after at most ``wait_s`` [s].
+        """Return the letters that have come, after at most ``wait_s`` [s].
 
         Raises:
             Closed: the front is gone.

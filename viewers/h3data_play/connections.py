@@ -1,4 +1,4 @@
-"""Sockets of the front and what its requests have in common."""
+"""Sockets of the front, and the common parts of its requests."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from h3data_play.seats import Game
 from h3data_play.workers import WorkerProcess
 
 QUEUE = 90
-"""States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
+"""Largest number of states that wait for a slow client; older ones are dropped (each is complete except for objects at
+rest)."""
 SEND_S = 20.0
 IDLE_S, BODY_S, LINGER_S, ANSWER_S, PING_S = 30.0, 20.0, 2.0, 60.0, 10.0
-"""A connection is closed when no request comes within ``IDLE_S``, when one has begun and does not end within ``BODY_S`` (and
-``LINGER_S``, so that the other side may read why), when nothing of an answer is taken for ``ANSWER_S``, or when a
-socket answers no ping within one and a half times ``PING_S``."""
+"""Time limits of a connection [s]. It is closed when no request comes within ``IDLE_S``, when one has begun and does
+not end within ``BODY_S`` (and ``LINGER_S``, so that the other side may read the reason), when nothing of an answer is
+read for ``ANSWER_S``, or when a socket answers no ping within one and a half times ``PING_S``."""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]*)?")
 """A Host header: a name or address, in brackets if it is one of IPv6, and a port."""
 HEADERS = {
@@ -48,7 +49,7 @@ class Live:
     sockets: dict[str, Connection] = field(default_factory=dict)
     """Connections of the connected players, by seat."""
     beginning: asyncio.Task[None] | None = None
-    """Waits until the episode has been prepared."""
+    """Task that waits until the episode has been prepared."""
 
 
 class Connection:
@@ -70,17 +71,17 @@ class Connection:
         self._news.set()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Queues a text frame."""
+        """Queue a text frame."""
         self._texts.append(json.dumps(message))
         self._news.set()
 
     def end(self) -> None:
-        """Closes after everything has been sent."""
+        """Close the connection after everything has been sent."""
         self._ends = True
         self._news.set()
 
     async def send(self) -> None:
-        """Sends until the socket closes."""
+        """Send until the socket closes."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -104,24 +105,27 @@ class Stuck(Failed):
 
 
 def runner_of(app: web.Application) -> web.AppRunner:
-    """Returns the runner that serves an application, and closes idle connections."""
+    """Return the runner that serves an application, and closes idle connections."""
     return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)
 
 
 def pong(client_ms: float) -> bytes:
-    """Message that answers a client's ping, with the clocks of client and server [ms]."""
+    """Return the message that answers a client's ping, with the clocks of client and server [ms]."""
     return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
 
 
 def require_own_origin(request: web.Request) -> None:
-    """Pages of other sites may not use a player's cookies. Programs that send no Origin have none to misuse."""
+    """Refuse a request that a page of another site makes with a player's cookies.
+
+    Programs that send no Origin have no cookies to misuse.
+    """
     origin = request.headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != request.host:
         raise web.HTTPForbidden(text="This request comes from another site.")
 
 
 def is_known(name: str, names: Iterable[str]) -> bool:
-    """Returns whether a server goes by a name.
+    """Return whether a server has a name.
 
     Args:
         name: Name of a host, without port.
@@ -137,7 +141,7 @@ def is_known(name: str, names: Iterable[str]) -> bool:
 
 
 def require_known_host(names: Iterable[str]) -> Any:
-    """Middleware that refuses requests to host names that are not the server's.
+    """Return a middleware that refuses requests to host names that are not the server's.
 
     A page of another site whose name resolves to this machine would otherwise count as a page of this server, with the
     player's cookies.
@@ -162,7 +166,7 @@ def require_known_host(names: Iterable[str]) -> Any:
 
 @web.middleware
 async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
-    """Middleware that adds security headers to all answers, and drops clients that do not read theirs."""
+    """Add security headers to all answers, and drop clients that do not read theirs: a middleware."""
     found = None if request.transport is None else request.transport.get_extra_info("socket")
     if found is not None and hasattr(socket, "TCP_USER_TIMEOUT"):  # whoever takes nothing of the answer is hung up on
         with contextlib.suppress(OSError):

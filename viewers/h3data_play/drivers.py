@@ -1,4 +1,4 @@
-"""Drivers, which turn the wishes of players into commands of the simulator, one for each agent that somebody plays.
+"""Drivers, which convert the wishes of players to commands of the simulator, one for each played agent.
 
 A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
 goes on after a crash.
@@ -53,7 +53,7 @@ CANCEL = Action("wait", steps=1)
 """Choice that interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
 MOST_UNSAID = 5
-"""Number of messages of a player that wait for their step; one is said in each."""
+"""Largest number of messages of a player that wait for their step; one is sent in each."""
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
@@ -64,7 +64,7 @@ OFFER_STEPS = 15
 
 
 class Driver:
-    """Walks: by keys, or to a point of the floor. Enough for tasks without skills; subclasses add theirs."""
+    """Driver of an agent that walks by keys, or to a point of the floor: enough for tasks without skills."""
 
     def __init__(self, session: Session, number: int) -> None:
         self.session, self.number = session, number
@@ -76,7 +76,7 @@ class Driver:
 
     # --- from the player ----------------------------------------------------------------------------------------------
     def take(self, message: Act, refusal: str = "") -> str:
-        """Takes one message, which acts on the next step.
+        """Take one message, which acts on the next step.
 
         Returns:
             A sentence for the player if the message cannot be carried out, or the app's ``refusal``.
@@ -90,7 +90,7 @@ class Driver:
         return why
 
     def follow(self, message: Act) -> str:
-        """Takes a message; returns a sentence for the player if it cannot be carried out."""
+        """Follow a message; return a sentence for the player if it cannot be carried out."""
         if isinstance(message, Move):
             # float32, as it is recorded
             self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
@@ -108,7 +108,7 @@ class Driver:
         raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
 
     def release(self) -> None:
-        """The player is gone: keys go up. The world stands still meanwhile, so skills and walks may go on later."""
+        """Release all keys of a player who has left. The world stands still meanwhile, so skills and walks may go on later."""
         self.forward = self.turn = 0.0
 
     def interrupt(self) -> None:
@@ -116,7 +116,7 @@ class Driver:
         self.guide = None
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        """Sets out for a place; returns why not."""
+        """Set out for a place; return the reason if that is impossible."""
         try:
             self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
         except InputError as fault:
@@ -125,11 +125,11 @@ class Driver:
 
     # --- to the world -------------------------------------------------------------------------------------------------
     def command(self) -> Any:
-        """Command for the next step; None to continue the last one."""
+        """Return the command for the next step; None to continue the last one."""
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:
-        """Forward and turn of the next step."""
+        """Return the forward velocity and the turn of the next step."""
         if self.guide is not None:
             velocity = self.guide.velocity(*self.place)
             if velocity is not None:
@@ -138,7 +138,7 @@ class Driver:
         return self.forward, self.turn
 
     def after(self, result: StepResult) -> str:
-        """Takes note of a step; returns a sentence for the player."""
+        """Handle the end of a step; return a sentence for the player."""
         return result.refused.get(self.name, "")
 
     @property
@@ -159,7 +159,7 @@ class Driver:
     # --- the body -----------------------------------------------------------------------------------------------------
     @property
     def place(self) -> tuple[Array, float]:
-        """Returns the place of the agent: (x, z), heading."""
+        """Return the place of the agent: (x, z), heading."""
         recorder = self.session.recorder
         if recorder.latest is None:
             start = self.session.episode.starts[self.number]
@@ -190,7 +190,7 @@ class SkillDriver(Driver):
         """Messages to other agents that have not been said yet."""
 
     def follow(self, message: Act) -> str:
-        """Carries out a message; pick, place, hand over, open and close become skills."""
+        """Follow a message; pick, place, hand over, open and close become skills."""
         if isinstance(message, Say):
             said = Message(message.text, message.to)
             said.check([member.name for member in self.session.episode.roster])
@@ -219,7 +219,7 @@ class SkillDriver(Driver):
         return super().follow(message)
 
     def do(self, skills: list[Any]) -> str:
-        """Begins a row of skills."""
+        """Begin a sequence of skills."""
         self.interrupt()
         self.queue = skills
         return ""
@@ -237,7 +237,7 @@ class SkillDriver(Driver):
         return self.put_at(point, lead)
 
     def turn_joint(self, message: Open | Close) -> str:
-        """Opens or closes a door or drawer."""
+        """Open or close a door or drawer."""
         names = self.objects.joints
         if message.j >= len(names):
             raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.", code="H3-PLAY-016")
@@ -250,7 +250,7 @@ class SkillDriver(Driver):
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
-        """Reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        """Return the reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
         sight, openables = self.objects.sight, self.session.play.team.openables  # type: ignore[attr-defined]
         if sight is not None and not at_goal and not sight.known[self.number, k]:
             return sentence("not_seen")
@@ -260,13 +260,13 @@ class SkillDriver(Driver):
         return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
 
     def door_before(self, point: Array) -> int:
-        """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
+        """Return the closed door between the agent and the places from which it could reach a world point [3]; -1: none."""
         team = self.session.play.team
         actor = team.actors[self.number]
         return team.door_before(actor, partial(actor.stands_on, point=point))
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        """Walks or drives to a floor point, unless a closed door is in between."""
+        """Walk or drive to a floor point, unless a closed door is in between."""
         team = self.session.play.team
         spot = team.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
@@ -280,22 +280,22 @@ class SkillDriver(Driver):
         return "The robot puts things down at their goals only."
 
     def drop(self) -> Any:
-        """The command that lets go."""
+        """Return the command that releases the object in hand."""
         raise InputError("The robot does not drop things.", code="H3-PLAY-014")
 
     def give(self, agent: int) -> Any:
-        """The command that hands over."""
+        """Return the command that hands the object in hand to another agent."""
         del agent
         raise InputError("The robot does not hand things over.", code="H3-PLAY-015")
 
     def interrupt(self) -> None:
-        """Stops walking, cancels the running skill and drops all that are queued."""
+        """Stop walking, cancel the running skill and drop all that are queued."""
         super().interrupt()
         self.cancelled = self.runs
         self.queue = []
 
     def command(self) -> Any:
-        """Command of the next step; None while a skill is running."""
+        """Return the command of the next step; None while a skill is running."""
         if self.unsaid:
             return self.speak()
         if self.cancelled:
@@ -311,15 +311,15 @@ class SkillDriver(Driver):
         return self.walking(*velocity)
 
     def speak(self) -> Any:
-        """The command that says the next message."""
+        """Return the command that sends the next message."""
         return self.unsaid.pop(0).action
 
     def walking(self, forward: float, turn: float) -> Any:
-        """The command of a step between skills."""
+        """Return the command of a step between skills."""
         return Velocity(forward, turn)
 
     def velocity(self) -> tuple[float, float]:
-        """Forward velocity and turn of the next step; a failed walk drops the queued skills."""
+        """Return forward velocity and turn of the next step; a failed walk drops the queued skills."""
         failed = self.guide
         velocity = super().velocity()
         if failed is not None and failed.failed:
@@ -327,7 +327,7 @@ class SkillDriver(Driver):
         return velocity
 
     def after(self, result: StepResult) -> str:
-        """Sentence about the last step for the player; a failed skill drops the queued ones."""
+        """Return a sentence about the last step for the player; a failed skill drops the queued ones."""
         # what a new command has interrupted is followed by what that command asked for
         own = [span for span in result.skills if span.agent == self.number and span.reason != "commanded"]
         if any(span.outcome in ("failed", "aborted") for span in own):
@@ -336,12 +336,12 @@ class SkillDriver(Driver):
 
     @property
     def runs(self) -> bool:
-        """Returns whether a skill is running."""
+        """Return whether a skill is running."""
         return self.session.task.control.is_busy(self.session.play, self.number)
 
     @property
     def busy(self) -> bool:
-        """Returns whether a skill or walk is running or queued."""
+        """Return whether a skill or walk is running or queued."""
         return self.runs or super().busy or bool(self.queue)
 
     @property
@@ -351,12 +351,12 @@ class SkillDriver(Driver):
 
     @property
     def objects(self) -> Any:
-        """`sim_kinematic.agents.skills.Objects` of the play."""
+        """Objects of the play, a `sim_kinematic.agents.skills.Objects`."""
         return self.session.play.team.objects  # type: ignore[attr-defined]
 
 
 class PersonDriver(SkillDriver):
-    """A person with hands and a head."""
+    """Driver of a person with hands and a head."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -368,7 +368,7 @@ class PersonDriver(SkillDriver):
         """Flags of the seats that are near, and the step in which they were sought."""
 
     def follow(self, message: Act) -> str:
-        """Carries out a message; those about hands and head set their targets."""
+        """Follow a message; those about hands and head set their targets."""
         if isinstance(message, Hand):
             if message.p is None:
                 self.hands.pop(message.side, None)
@@ -393,7 +393,7 @@ class PersonDriver(SkillDriver):
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
-        """Command of a velocity with the targets of hands and head, or those of a gesture."""
+        """Return the command of a velocity with the targets of hands and head, or those of a gesture."""
         right, head = self.hands.get("right"), self.head
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
@@ -405,7 +405,7 @@ class PersonDriver(SkillDriver):
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
     def reach_of(self, seconds: float) -> HandTarget:
-        """Place and rotation of the right hand during the gesture: those of somebody who stands."""
+        """Return place and rotation of the right hand during the gesture of a standing person."""
         body = self.body.person.body
         quats, pelvis = (np.array(part) for part in body.clip_pose([0], [0.0]))
         add_gestures(body, quats, pelvis, [[NAMES.index(self.gesture), seconds, 1.0]])
@@ -414,7 +414,7 @@ class PersonDriver(SkillDriver):
         return HandTarget(tuple(hand_points(frames, body)[0].tolist()), tuple(wrist.tolist()))
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
+        """Put the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
         place = PlaceSkill(tuple(point.tolist()))
         if not lead:
             return self.do([place])
@@ -427,15 +427,15 @@ class PersonDriver(SkillDriver):
         return self.go(stand[:2], float(stand[2]))
 
     def drop(self) -> Any:
-        """Skill that drops the object in hand."""
+        """Return the skill that drops the object in hand."""
         return DropSkill()
 
     def give(self, agent: int) -> Any:
-        """Skill that gives the object in hand to another agent."""
+        """Return the skill that gives the object in hand to another agent."""
         return HandOver(agent)
 
     def can_place(self, point: Any) -> str:
-        """Reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
+        """Return the reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
         return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
 
     @property
@@ -453,20 +453,20 @@ class PersonDriver(SkillDriver):
 
     @property
     def busy(self) -> bool:
-        """Returns whether a skill or walk is running or queued, or the person sits or gets up."""
+        """Return whether a skill or walk is running or queued, or the person sits or gets up."""
         return super().busy or self.body.seat is not None
 
     @property
     def body(self) -> DrivenPerson:
-        """The person in the play."""
+        """Person in the play."""
         return self.session.play.team.actors[self.number]  # type: ignore[attr-defined]
 
 
 class RobotDriver(SkillDriver):
-    """A robot with an arm, which its skills move."""
+    """Driver of a robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
-        """The command that says the next message; it ends the running skill, which begins again after it."""
+        """Return the command that sends the next message; it ends the running skill, which begins again after it."""
         if self.runs:
             self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
         return super().speak()
@@ -478,7 +478,7 @@ class RobotDriver(SkillDriver):
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:
-    """Discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
+    """Return discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
     episode = session.episode
     if episode.roster[number].kind == "robot":
         return episode.bases[number]

@@ -1,4 +1,4 @@
-"""The server that browsers talk to: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
+"""Server for browsers: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ from h3data_play.workers import Preparer, WorkerProcess, Workers
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
 CAN_S = 0.09
-"""Previews that are asked for sooner after each other are not answered: each takes milliseconds of everybody's worker. A page
-asks every 120 ms."""
+"""Least time between previews that are answered [s]: each takes milliseconds of the worker that all share. A page asks
+every 120 ms."""
 MOST_BUSY = 0.7
-"""Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
+"""Largest share of a core for a worker's games: a further one would slow down all others."""
 AGAIN_S, SAY_S = 1.0, 60.0
 """Seconds after which a failed write to the database is tried again, and between messages to the operator."""
 NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
-"""Episodes that are prepared while others are played."""
+"""Number of episodes that are prepared while others are played."""
 SEAT_S = 86400
 """Time for which a browser keeps its seat [s]."""
 SEATS_PER_ADDRESS = 12
-"""Number of seats that one network address may have at once: enough for a class in a lab."""
+"""Largest number of seats of one network address at a time: enough for a class in a lab."""
 LOADING_S = 60.0
-"""Time for which a seat is kept for a player who has taken it and does not connect because the home is still loading [s]."""
+"""Time for which a seat is reserved for a player who has not connected yet because the home is still loading [s]."""
 AWAY_S = 20.0
-"""Seconds for which a browser that was connected keeps its seat without a key; with the link's key another one may have it
-at once."""
+"""Time for which a disconnected browser keeps its seat against requests without a key [s]; with the link's key another
+browser gets it at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
@@ -146,7 +146,7 @@ class WebServer:
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """Web application that aiohttp serves."""
+        """Return the web application that aiohttp serves."""
         app = web.Application(
             client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
         )
@@ -160,7 +160,7 @@ class WebServer:
         return app
 
     def link(self, number: int) -> str:
-        """Path of a seat's page."""
+        """Return the path of a seat's page."""
         is_open = self.open_door and self.plan.seats[number] != "spectator"
         return "/" if is_open else f"/s/{self.journal.links[number]}/"
 
@@ -175,21 +175,21 @@ class WebServer:
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def page(self, request: web.Request) -> web.StreamResponse:
-        """The page of a seat."""
+        """Answer with the page of a seat."""
         self._seat_number(request)
         if not (PAGE / "index.html").is_file():
             raise web.HTTPNotFound(text="The page has not been built. Hint: make web")
         return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def asset(self, request: web.Request) -> web.StreamResponse:
-        """A file of the page; their names have digests of their content."""
+        """Answer with a file of the page; their names have digests of their content."""
         path = PAGE / request.match_info["path"]
         if not path.is_file() or ".." in path.parts:
             raise web.HTTPNotFound
         return web.FileResponse(path, headers={"Cache-Control": "public, max-age=31536000, immutable"})
 
     async def world(self, request: web.Request) -> web.StreamResponse:
-        """A GLB or distance grid, by its digest."""
+        """Answer with a GLB or distance grid, by its digest."""
         found = self.preparer.files.get(request.match_info["name"])
         if found is None:
             raise web.HTTPNotFound(text="There is no such file any more. Reload the page.")
@@ -199,7 +199,7 @@ class WebServer:
 
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
+        """Give a browser its seat, the same one if it has one, and begin the next episode if there is none."""
         number = self._seat_number(request)
         await self._read(request, dict)
         token = request.cookies.get(self._cookie(number), "")
@@ -387,7 +387,10 @@ class WebServer:
 
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
-        """A letter of a worker about a game. One that cannot be written down now is read again."""
+        """Handle a worker's letter about a game.
+
+        One that cannot be written to the disk now is read again later.
+        """
         try:
             self._hear(worker, kind, key, body)
         except sqlite3.OperationalError as fault:
@@ -502,7 +505,7 @@ class WebServer:
 
     # --- sockets ------------------------------------------------------------------------------------------------------
     async def play(self, request: web.Request) -> web.StreamResponse:
-        """The socket of a seat."""
+        """Serve the socket of a seat."""
         require_own_origin(request)
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])

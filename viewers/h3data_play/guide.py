@@ -1,4 +1,4 @@
-"""Walking to a point of the floor by commands of speed and turn, as a player would steer."""
+"""Guided walking to a point of the floor by commands of speed and turn, as a player would steer."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from sim_kinematic.motion.spec import BaseSpec
 STEPS_PER_S = 30
 ARRIVED_M = 0.01
 AHEAD_RAD = 0.1
-"""Walks while the next corner is at most this far off the heading, else turns on the spot: the path clears obstacles only
-along its straight legs."""
+"""Largest angle of the next corner off the heading at which the guide walks on; else it turns on the spot, as the path
+clears obstacles only along its straight legs [rad]."""
 STUCK_STEPS = 45
-"""Gives up after this many steps in which a body has come no nearer to its next corner."""
+"""Number of steps without getting nearer to the next corner after which the guide gives up."""
 TURN_AS_M = 0.1
 """Distance that counts as much as turning towards the corner by one radian [m]."""
 AGAIN_M = 0.05
 """Distance by which an agent must come nearer to the end before it tries a maneuver again [m]."""
 FLOOR_SNAP_M = 0.6
-"""A point this far off the free floor is moved onto it: people click on the foot of a cupboard and mean the place before it."""
+"""Distance from the free floor within which a point is moved onto it [m]: people who click on the foot of a cupboard
+mean the place before it."""
 NEAR_M = 2.0
 """Largest distance from a click on unreachable floor to the nearest reachable place, to which the player is then led [m]."""
 
@@ -47,7 +48,7 @@ class Guide:
     goal: Array
     """Point (x, z) at which the path ends."""
     corners: list[Array]
-    """Points (x, z) still to be reached."""
+    """Remaining points (x, z) of the path."""
     heading: float | None
     """Direction to face at the end [rad]; None: any."""
     failed: bool = False
@@ -62,7 +63,7 @@ class Guide:
 
     @classmethod
     def to(cls, free: FreeSpace, base: BaseSpec, xz: Array, goal: ArrayLike, *, heading: float | None = None) -> Guide:
-        """The shortest path over a floor; to the nearest point within `NEAR_M` of a goal that cannot be reached.
+        """Return a guide along the shortest path over a floor; to a point within `NEAR_M` of a goal that cannot be reached.
 
         Raises:
             InputError: no path leads there; the text is for the player.
@@ -75,7 +76,7 @@ class Guide:
         return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:
-        """Forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
+        """Return forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
         if self._commands:
             forward, turn = self._commands.pop(0)
             return forward, turn

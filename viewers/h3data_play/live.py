@@ -48,7 +48,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 
 
 def disk_fault(fault: BaseException | None) -> str:
-    """Returns the fault of the disk that caused an error; empty if there is none."""
+    """Return the fault of the disk that caused an error; empty if there is none."""
     while fault is not None:
         if isinstance(fault, OSError) and fault.errno in FULL:
             return fault.strerror or str(fault)
@@ -57,7 +57,7 @@ def disk_fault(fault: BaseException | None) -> str:
 
 
 class PatientSink:
-    """Sink that records a live game. Data that the disk does not take waits in the writer, and the game waits for it."""
+    """Sink that records a live game. Data that the disk does not accept waits in the writer, and the game waits for it."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
@@ -65,28 +65,28 @@ class PatientSink:
         self._info: dict[str, Any] | None = None
 
     def append(self, rows: dict[str, Any]) -> None:
-        """Appends steps; if the disk does not accept them, they stay in the writer."""
+        """Append steps; if the disk does not accept them, they stay in the writer."""
         self._try(partial(self.writer.append, rows))
 
     def event(self, event: Event) -> None:
-        """Appends an event."""
+        """Append an event."""
         self.writer.event(event)
 
     def skill(self, span: SkillSpan) -> int:
-        """Appends a skill and returns its number."""
+        """Append a skill and return its number."""
         return self.writer.skill(span)
 
     def input(self, event: InputEvent) -> None:
-        """Appends raw input."""
+        """Append raw input."""
         self.writer.input(event)
 
     def close(self, *, info: dict[str, Any]) -> None:
-        """Completes the recording, as soon as the disk accepts it."""
+        """Complete the recording, as soon as the disk accepts it."""
         self._info = info
         self.retry()
 
     def abort(self) -> None:
-        """Ends the recording early."""
+        """End the recording early."""
         self.writer.abort()
 
     def retry(self) -> None:
@@ -143,7 +143,7 @@ class EpisodeFactory:
         return tuple(numbers)
 
     def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy:
-        """Returns the policy of an agent that nobody plays, under the plan's name: recordings hold no paths of this machine."""
+        """Return the policy of an agent without a player, under the plan's name: recordings hold no paths of this machine."""
         plan = self.plan
         assert plan.partner is not None
         if plan.partner_here == plan.partner:
@@ -152,7 +152,7 @@ class EpisodeFactory:
         return make_policy(self.task, episode, number, plan.partner_here)._replace(name=plan.partner)
 
     def episode(self, index: int) -> Episode:
-        """Samples episode ``index``."""
+        """Sample episode ``index``."""
         return self.source.sample(self.plan.seed, index)
 
     def finished(self, order: GameOrder) -> dict[str, Any] | None:
@@ -175,7 +175,7 @@ class EpisodeFactory:
         }
 
     def begin(self, order: GameOrder) -> LiveGame:
-        """Begins an episode, or goes on with one of which an unfinished log is there."""
+        """Begin an episode, or continue one that has an unfinished log."""
         path = Path(self.plan.out, order.name + ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         part, saved = path.with_name(path.name + ".part"), path.with_name(f".{path.name}.saved.mcap")
@@ -288,11 +288,11 @@ class LiveGame:
     # --- the disk -----------------------------------------------------------------------------------------------------
     @property
     def fault(self) -> str:
-        """Reason why the disk does not take what has been played; empty while it does."""
+        """Reason why the disk does not accept the game's data; empty while it does."""
         return "" if self.sink is None else self.sink.fault
 
     def retry(self) -> None:
-        """Hands everything that has been played to the disk, also the end of a game that has been closed."""
+        """Write everything that has been played to the disk, also the end of a game that has been closed."""
         if self.sink is not None:
             self.session.recorder.flush()
             self.sink.retry()
@@ -301,7 +301,7 @@ class LiveGame:
             self.leftover = None
 
     def abort(self) -> None:
-        """Leaves the game as the log that is on the disk, for a later server."""
+        """Leave the game as the log that is on the disk, for a later server."""
         self.session.abort()
         self._let_go()
         if self.sink is not None:
@@ -309,7 +309,7 @@ class LiveGame:
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
-        """Takes a message of a player, which acts on the next step and is recorded as it was sent.
+        """Take a message of a player, which acts on the next step and is recorded as it was sent.
 
         Returns:
             A sentence for the player if the message cannot be carried out.
@@ -344,7 +344,7 @@ class LiveGame:
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """Note that the clock of the game has fallen behind by some steps, which nobody will play."""
+        """Store that the clock of the game has skipped some steps."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
@@ -354,7 +354,7 @@ class LiveGame:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self) -> dict[int, str]:
-        """Plays a step; returns sentences for players by agent."""
+        """Play a step; return sentences for players by agent."""
         session = self.session
         for driver in self.drivers.values():
             command = driver.command()
@@ -376,7 +376,7 @@ class LiveGame:
         return {number: text for number, text in sentences.items() if text}
 
     def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:
-        """The last step as the player of agent ``number`` gets it; -1: a spectator."""
+        """Return the message about the last step for the player of agent ``number``; -1: a spectator."""
         assert self.packed is not None, "a step has been played"
         driver, columns = self.drivers.get(number), self.columns
         flags = ENDED if self.ended else 0
@@ -388,7 +388,7 @@ class LiveGame:
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
 
     def barriers(self, number: int) -> list[list[int]]:
-        """Doors and drawers that the player of agent ``number`` has to open first, for each object.
+        """Return doors and drawers that the player of agent ``number`` has to open first, for each object.
 
         For each object there are two numbers: the part to open before taking it, and before putting it at its goal. It
         is what encloses the object, or a door between rooms that leaves no path to it; -1 if there is none. The list is
@@ -413,7 +413,7 @@ class LiveGame:
         return known[2]
 
     def seen(self, number: int) -> list[list[float] | None] | None:
-        """Points [m] at which the player of agent ``number`` has last seen each object; None for one never seen or missed.
+        """Return points [m] where the player of agent ``number`` last saw each object; None if never, or if it has gone since.
 
         Altogether None if players know where everything is (the rule ``observe``), and for spectators.
         """
@@ -424,7 +424,7 @@ class LiveGame:
         return [point if known else None for known, point in points]
 
     def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
-        """Messages of agents that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        """Return messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
         said = getattr(self.session.play.team, "messages", ())
         name = self.session.episode.roster[number].name if number >= 0 else None
         return [
@@ -441,7 +441,7 @@ class LiveGame:
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
-        """Finishes the recording; it has its final name once there is no `fault`.
+        """Finish the recording; it has its final name once there is no `fault`.
 
         Returns None, and leaves no file, if no step was played.
         """
@@ -467,7 +467,7 @@ class LiveGame:
 
     # --- after a crash ------------------------------------------------------------------------------------------------
     def play_again(self, recording: Recording) -> None:
-        """Brings a fresh game to the end of an unfinished recording, from its raw input alone.
+        """Bring a fresh game to the end of an unfinished recording, from its raw input alone.
 
         Raises:
             H3DataError: the states came out otherwise: another version of the simulator.

@@ -1,4 +1,4 @@
-"""Messages of players: JSON text, one for each change of what they want."""
+"""Messages of players: JSON text, one for each change of their wishes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from msgspec import Meta
 PERIOD_S = 1 / 30
 """Time between two steps of a live world [s]."""
 MOST_BYTES = 4096
-"""Length of the longest message that a socket takes."""
+"""Length of the longest message that a socket accepts [bytes]."""
 MOST_CHARACTERS = 500
-"""Length of the longest text of a player, as of a message between agents (`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
+"""Length of the longest text of a player, such as a message between agents
+(`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Share = Annotated[float, Meta(ge=-1, le=1)]
@@ -33,9 +34,9 @@ class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
     """Message of a player's input. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
 
     seq: Count | None = None
-    """Number of the message within its page; states tell which one has acted."""
+    """Number of the message within its page; state messages name the last one that has acted."""
     step: Count | None = None
-    """The step that the message is meant for; it acts then, or in the next step if that is over."""
+    """Number of the step for which the message is meant; it acts then, or in the next step if that is over."""
     ct: float = 0.0
     rtt: float = 0.0
 
@@ -48,17 +49,17 @@ class Move(Message, frozen=True, tag="move"):
 
 
 class GoTo(Message, frozen=True, tag="goto"):
-    """Walks to a point of the floor; the server finds the path."""
+    """Message to walk to a point of the floor; the server finds the path."""
 
     p: Point
 
 
 class Stop(Message, frozen=True, tag="stop"):
-    """Ends a walk that the server leads."""
+    """Message to end a walk that the server guides."""
 
 
 class Pick(Message, frozen=True, tag="pick"):
-    """Takes object ``o``; with ``lead``, walks there first."""
+    """Message to take object ``o``; with ``lead``, the player walks there first."""
 
     o: Index
     lead: bool = False
@@ -82,33 +83,33 @@ class Give(Message, frozen=True, tag="give"):
 
 
 class Open(Message, frozen=True, tag="open"):
-    """Opens door or drawer ``j``; with ``lead``, walks there first."""
+    """Message to open door or drawer ``j``; with ``lead``, the player walks there first."""
 
     j: Index
     lead: bool = False
 
 
 class Close(Message, frozen=True, tag="close"):
-    """Closes door or drawer ``j``; with ``lead``, walks there first."""
+    """Message to close door or drawer ``j``; with ``lead``, the player walks there first."""
 
     j: Index
     lead: bool = False
 
 
 class Sit(Message, frozen=True, tag="sit"):
-    """Walks to the nearest free seat and sits down, or gets up; with ``lies``, to one on which the person then lies down."""
+    """Message to walk to the nearest free seat and sit down, or to get up; with ``lies``, also to lie down."""
 
     lies: bool = False
 
 
 class Gesture(Message, frozen=True, tag="gesture"):
-    """Waves with the right hand, or looks at a phone until the same message comes again."""
+    """Message to wave with the right hand, or to look at a phone until the same message comes again."""
 
     name: Literal["wave", "phone"]
 
 
 class Hand(Message, frozen=True, tag="hand"):
-    """Position of the palm of a hand, in the person's root frame; without a point the arm is free again."""
+    """Message with the position of a palm, in the person's root frame; without a point the arm is free again."""
 
     side: Literal["left", "right"]
     p: Point | None = None
@@ -116,58 +117,58 @@ class Hand(Message, frozen=True, tag="hand"):
 
 
 class Head(Message, frozen=True, tag="head"):
-    """Direction in which the head looks, from the direction of the chest: to the left and downwards [rad]."""
+    """Message with the direction of the head relative to the chest: to the left and downwards [rad]."""
 
     yaw: Angle
     pitch: Angle
 
 
 class Use(Message, frozen=True, tag="use"):
-    """Cleans, fills, pours out or switches object ``o``, whichever the task asks for; with ``lead``, walks there first."""
+    """Message to clean, fill, pour out or switch object ``o``, as the task requires; with ``lead``, after walking there."""
 
     o: Index
     lead: bool = False
 
 
 class Bring(Message, frozen=True, tag="bring"):
-    """Walks to a place by its name with the held object and puts it there, next to another object if that is named."""
+    """Message to walk to a named place with the held object and put it there, optionally next to another object."""
 
     place: Name
     next_to: Name = ""
 
 
 class Say(Message, frozen=True, tag="say"):
-    """Tells one other agent something, or all."""
+    """Message with a text for one other agent, or all."""
 
     text: Annotated[Words, Meta(min_length=1)]
     to: Name = ""
 
 
 class Problem(Message, frozen=True, tag="problem"):
-    """Reports a problem with the episode, which goes on."""
+    """Message that reports a problem with the episode, which continues."""
 
     text: Annotated[Words, Meta(min_length=1)]
 
 
 class End(Message, frozen=True, tag="end"):
-    """Ends the episode: the player takes the task to be finished, or skips it."""
+    """Message to end the episode: the player considers the task finished, or skips it."""
 
     why: Literal["finished", "skipped"]
 
 
 class Answer(Message, frozen=True, tag="answer"):
-    """Answers the question at the end of an episode."""
+    """Message with the answer to the question at the end of an episode."""
 
     answer: Literal["yes", "no", "unsure"]
     text: Words = ""
 
 
 class Leave(Message, frozen=True, tag="leave"):
-    """Ends the session."""
+    """Message to end the session."""
 
 
 class Ping(msgspec.Struct, frozen=True, tag_field="k", tag="ping"):
-    """Asks for the server's time."""
+    """Message that requests the server's time."""
 
     ct: float
 
@@ -203,15 +204,15 @@ Act = (
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 MOST_DEEP = 32
-"""Brackets within each other in JSON of clients. What a decoder alone bears depends on how deep its caller stands, so that a
-worker could fail at what the front let through."""
+"""Largest nesting depth in JSON of clients. The limit of a decoder depends on the depth of its caller's stack, so that
+a worker could fail at a message that the front accepted."""
 _BRACKET = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{]|[\]}]', re.DOTALL)
 """A string, which may lack its end, or a bracket."""
 Kind = TypeVar("Kind")
 
 
 def decode(text: str) -> Act | Ping | Can:
-    """The message in a text frame.
+    """Decode the message in a text frame.
 
     Raises:
         msgspec.MsgspecError: it is none: no JSON, an unknown kind, a number out of its range.
@@ -220,7 +221,7 @@ def decode(text: str) -> Act | Ping | Can:
 
 
 def read_json(text: str | bytes, decoder: msgspec.json.Decoder[Kind]) -> Kind:
-    """Decodes JSON that a client has sent: all of it goes through here.
+    """Decode JSON that a client has sent: all of it goes through here.
 
     Raises:
         msgspec.MsgspecError: it is none, is nested too deeply, or is not what the decoder expects.

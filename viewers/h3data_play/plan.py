@@ -28,17 +28,18 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Speed of time: above 1 it runs faster, 0 means as fast as the machine can. For scripted players; recordings say so."""
+    """Speed of the clock, for scripted players: above 1 it runs faster, 0 means as fast as the machine can. Recordings
+    state it."""
     weights_in: str = ""
-    """Folder from which a relative file of weights in ``partner`` is named. Recordings repeat the relative name."""
+    """Folder to which a path of weights in ``partner`` is relative. Recordings repeat the relative path."""
     motion: str | None = None
-    """Motion file of people's walk."""
+    """Motion file of people's gait."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
 
     @property
     def partner_here(self) -> str | None:
-        """Policy `partner`, with a file of weights by its path on this machine."""
+        """Policy `partner`, with the path of a file of weights on this machine."""
         from sim_kinematic.policies.learned import PREFIX as WEIGHTS  # the server's process imports no simulator
 
         if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):
@@ -51,7 +52,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
-        """Kinds of the agents, robots first: ``usual``, with further ones if more are played.
+        """Return the kinds of the agents, robots first: ``usual``, with further ones if more are played.
 
         No agent is added to people who play alone or among themselves (partner ``solo``, or two people and no partner).
         """
@@ -76,16 +77,16 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     hitl: dict[str, Any] = {}
     """Further entries of the recording in ``info["hitl"]``."""
     resumes: bool = False
-    """True if another process may have played some of it, or all."""
+    """True if another process may have played a part of it, or all."""
     facts: dict[str, Any] | None = None
     """Facts that were found when the episode was prepared (`EpisodeCodec.precompute`); None: it has not been prepared."""
 
 
 def prepared_key(order: GameOrder) -> str:
-    """Names what has been prepared for an episode, whoever plays it."""
+    """Return the name of what has been prepared for an episode, whoever plays it."""
     return f"{order.plan}/{order.index}"
 
 
 def recording_name(index: int) -> str:
-    """File name of an episode's recording, without its ending."""
+    """Return the file name of an episode's recording, without its ending."""
     return f"{index:06d}"

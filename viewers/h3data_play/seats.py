@@ -35,7 +35,7 @@ class Seat:
     number: int
     """Index into `PlayPlan.seats`."""
     game: str
-    """Key of the game that the seat was last given."""
+    """Key of the game to which the seat was last assigned."""
 
 
 @dataclass(eq=False)
@@ -53,7 +53,7 @@ _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 def uptime() -> float:
-    """Seconds by a clock that nobody sets, and which goes on while the machine sleeps where the system has such a one."""
+    """Return the time of a monotonic clock [s], which also runs while the machine sleeps, if the system has such a clock."""
     return time.monotonic() if _BOOT is None else time.clock_gettime(_BOOT)
 
 
@@ -63,23 +63,23 @@ def new_token() -> str:
 
 
 def token_digest(token: str) -> str:
-    """Returns the digest of a token that is stored; a reader of the journal cannot take a seat with it."""
+    """Return the digest of a token that is stored; a reader of the journal cannot take a seat with it."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
 @dataclass
 class SeatLog:
-    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that the disk did not take."""
+    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that is not on the disk."""
 
     folder: Path
     name: str = JOURNAL
     """Name of the file."""
     read_only: bool = False
-    """Works on a copy in memory: the file may be another process's."""
+    """True if changes are made to a copy in memory only: the file may belong to another process."""
     seats: dict[str, Seat] = field(default_factory=dict)
     games: dict[str, Game] = field(default_factory=dict)
     links: list[str] = field(default_factory=list)
-    """Key of the link of each of `PlayPlan.seats`."""
+    """Key in the link of each of `PlayPlan.seats`."""
 
     def __post_init__(self) -> None:
         # one process writes; a commit is with the operating system before a browser hears of it, so that it outlives this
@@ -98,21 +98,21 @@ class SeatLog:
         self.links = [key for _, key in self._db.execute("select number, key from links order by number")]
 
     def make_links(self, count: int) -> None:
-        """A secret for each of so many seats, unless the folder has them."""
+        """Make a secret for each of so many seats, unless the folder has them."""
         for number in range(len(self.links), count):
             link = secrets.token_urlsafe(9)
             self._db.execute("insert into links values (?, ?)", (number, link))
             self.links.append(link)
 
     def sit(self, token: str, place: int, number: int) -> Seat:
-        """A new seat for the browser that will hold ``token``."""
+        """Add a new seat for the browser that will hold ``token``."""
         seat = Seat(secrets.token_hex(8), token_digest(token), place, number, "")
         self._db.execute("insert into seats values (?, ?, ?, ?, ?)", (seat.sid, seat.token, place, number, ""))
         self.seats[seat.sid] = seat
         return seat
 
     def hand_over(self, seat: Seat, token: str) -> Seat:
-        """The seat for another browser, that which will hold ``token``: with another name, so that the one before has none."""
+        """Give the seat to another browser, which will hold ``token``; its new name shuts out the browser before."""
         new = Seat(secrets.token_hex(8), token_digest(token), seat.place, seat.number, seat.game)
         self._db.execute("update seats set sid = ?, token = ? where sid = ?", (new.sid, new.token, seat.sid))
         del self.seats[seat.sid]
@@ -120,12 +120,12 @@ class SeatLog:
         return new
 
     def assign(self, seat: Seat, game: Game) -> None:
-        """Notes which game a seat belongs to now."""
+        """Store which game a seat belongs to now."""
         self._db.execute("update seats set game = ? where sid = ?", (game.key, seat.sid))
         seat.game = game.key
 
     def begin(self, place: int) -> Game:
-        """The next episode, at a table."""
+        """Begin the next episode at a table."""
         episode = len(self.games)
         game = Game(f"{episode:06d}", place, episode)
         self._db.execute("insert into games values (?, ?, ?, ?)", (game.key, place, episode, ""))
@@ -133,7 +133,7 @@ class SeatLog:
         return game
 
     def end(self, game: Game, why: str) -> None:
-        """Notes that a game is over."""
+        """Store that a game is over."""
         self._db.execute("update games set over = ? where key = ?", (why, game.key))
         game.over = why
 
@@ -142,16 +142,16 @@ class SeatLog:
         return next((game for game in self.games.values() if game.place == place and not game.over), None)
 
     def owner(self, token: str, number: int) -> Seat | None:
-        """The seat with this number that a token owns."""
+        """Return the seat with this number that a token owns."""
         digest = token_digest(token)
         return next((s for s in self.seats.values() if s.token == digest and s.number == number), None)
 
     def taken(self, place: int, number: int) -> Seat | None:
-        """Holder of seat ``number`` at a table."""
+        """Return the holder of seat ``number`` at a table."""
         return next((s for s in self.seats.values() if (s.place, s.number) == (place, number)), None)
 
     def close(self, *, done: bool) -> None:
-        """Closes the file; deletes it where everything is ``done``."""
+        """Close the file; delete it where everything is ``done``."""
         self._db.close()
         if done:
             (self.folder / self.name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The web server as a process, started by ``h3data play``.
+"""Web server as a process, started by ``h3data play``.
 
 ``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on stdout.
 """
@@ -40,7 +40,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     key: str = ""
     """Files of a TLS certificate and its key."""
     behind_proxy: bool = False
-    """True if a proxy in front of it does TLS, and names addresses of browsers."""
+    """True if a proxy in front of the server does TLS, and states addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS
     allow_hosts: tuple[str, ...] = ()
     """Names of this server beside loopback, ``host`` and those of the certificate."""
@@ -48,23 +48,23 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     """True if the server continues after the last episode."""
 
     def front(self, **given: Any) -> WebServer:
-        """The front of what is played; `given` are the options that all fronts have."""
+        """Return the server of this session; `given` are the options that all servers have."""
         raise NotImplementedError
 
 
 class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
-    """Options of a server of one session: what is played, at how many tables at once."""
+    """Options of a server of one session: the plan, and the number of simultaneous tables."""
 
     plan: PlayPlan
     tables: int = 1
 
     def front(self, **given: Any) -> WebServer:
-        """Server of the session."""
+        """Return the server of the session."""
         return WebServer(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
-    """Checks that a server that others can reach uses TLS or a proxy.
+    """Check that a server that others can reach uses TLS or a proxy.
 
     Raises:
         Refused: others could listen on the network.
@@ -79,7 +79,7 @@ def require_safe(options: ServeOptions) -> None:
 
 
 def certificate_names(cert: str) -> list[str]:
-    """DNS names of the first certificate in a file (subjectAltName).
+    """Return the DNS names of the first certificate in a file (subjectAltName).
 
     Raises:
         Refused: there is none.
@@ -93,7 +93,7 @@ def certificate_names(cert: str) -> list[str]:
 
 
 async def serve(options: ServeOptions, report: Any) -> int:
-    """Serves until all episodes are over or a signal comes; returns the exit code."""
+    """Serve until all episodes are over or a signal comes; return the exit code."""
     require_safe(options)
     names = certificate_names(options.cert) if options.cert else []
     stops = asyncio.Event()
@@ -161,7 +161,7 @@ async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions
 
 
 def main(kind: type[ServeOptions]) -> int:
-    """Serves with the options of this kind on stdin; returns the exit code."""
+    """Serve with the options of this kind on stdin; return the exit code."""
 
     def report(message: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):

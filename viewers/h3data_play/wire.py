@@ -41,7 +41,7 @@ SITS, LIES, SEATED, GESTURES = 16, 32, 64, 128
 """Flags of postures: a seat is near and free; so is a bed or sofa on which the player's person can lie; they sit, or lie; their
 hands are empty, so that they can wave and look at a phone."""
 BODY_JOINTS = 21
-"""SMPL-X joints 1 to 21 move; fingers, jaw and eyes keep the pose that the GLB has."""
+"""Number of joints that move, SMPL-X joints 1 to 21; fingers, jaw and eyes keep the pose of the GLB."""
 JOINT_UNIT = 2e-4
 """Unit of a robot's joint positions [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")
@@ -54,7 +54,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def pack_rotations(quats: NDArray[np.floating]) -> bytes:
-    """Rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
+    """Pack rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     sign = np.where(quats[rows, largest] < 0, -1.0, 1.0)
@@ -65,18 +65,18 @@ def pack_rotations(quats: NDArray[np.floating]) -> bytes:
 
 
 def pack_head(flags: int, agents: int, objects: int, step: int, ack: int, clock_ms: float) -> bytes:
-    """The part of a state that differs between players."""
+    """Pack the part of a state that differs between players."""
     return _HEAD.pack(STATE, flags, agents, objects, step, ack, clock_ms)
 
 
 def pack_pong(client_ms: float, server_ms: float) -> bytes:
-    """The answer to a ping."""
+    """Pack the answer to a ping."""
     return struct.pack("<B7xdd", PONG, client_ms, server_ms)
 
 
 @dataclass(frozen=True)
 class PackedStep:
-    """A step without the heads."""
+    """Message of a step without the part that differs between players."""
 
     agents: int
     agent_bytes: bytes
@@ -90,7 +90,7 @@ class PackedStep:
     """Positions of all joints."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
-        """The state for one player, with all objects and joints where it is ``whole``."""
+        """Return the state for one player, with all objects and joints where it is ``whole``."""
         listed, joints = (self.objects, self.joints) if whole else (self.moved, self.turned)
         head = pack_head(flags, self.agents, len(listed), step, ack, clock_ms)
         return head + self.agent_bytes + listed.tobytes() + joints.tobytes()
@@ -98,7 +98,7 @@ class PackedStep:
 
 @dataclass
 class StatePacker:
-    """Packs the recorded columns of one step after the other."""
+    """Packer of the recorded columns, one step after the other."""
 
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
@@ -114,7 +114,7 @@ class StatePacker:
         self._number = {body: number for number, body in moving}
 
     def pack(self, columns: Columns) -> PackedStep:
-        """The last row of ``columns``."""
+        """Pack the last row of ``columns``."""
         parts, holders = [], {}
         for k, body in enumerate(self.bodies):
             agent = f"agent_{k}."

@@ -52,13 +52,14 @@ from h3data_play.messages import (
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
-"""Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
+"""Largest number of steps that a late game catches up at once; beyond that its clock slips, which the recording
+states."""
 MOST_WAITING = 200
-"""Messages of one game that wait for their step."""
+"""Largest number of messages of one game that wait for their step."""
 FARTHEST_STEPS = 15
-"""A message that is meant for a later step than this acts as soon as that many steps are over."""
+"""Largest number of steps that a message waits for its step; one that is meant for a later step acts then."""
 WHOLE_EVERY = 30
-"""Number of steps between states with all objects; those between have only objects that have moved."""
+"""Number of steps between states with all objects; those between contain only objects that have moved."""
 PLAN_STEPS = 6
 """Number of steps between two searches for a path to a thing, as one may take 50 ms of the worker that all players share."""
 BEGIN_S = 2.0
@@ -89,9 +90,9 @@ class Running:
     began: float = field(default_factory=time.monotonic)
     due: float = 0.0
     stepped: float = field(default_factory=time.monotonic)
-    """Time of the latest step, or of the beginning."""
+    """Time of the latest step, or of the beginning of the game."""
     here: set[int] = field(default_factory=set)
-    """Agents whose players are connected; -1: spectators."""
+    """Numbers of agents whose players are connected; -1: spectators."""
     waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
     """Messages that wait for their step: agent, step, message, text, time of arrival."""
     whole: bool = True
@@ -103,21 +104,21 @@ class Running:
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Thing that each player was last asked to open first."""
+    """Thing that each player last had to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
-    """Floor that each player was last sent, if it has ever changed; None: the page may have any."""
+    """Floor last sent to each player, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """True if the game waits for space on the disk, and the front knows."""
+    """True if the game waits for space on the disk, and the front has been informed."""
     recording: Recording | None = None
     """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
-    """Step in which each player last asked to be led to a thing."""
+    """Step of each player's last request to be guided to a thing."""
     heard: dict[int, int] = field(default_factory=dict)
-    """Number of messages of agents of which each player has been told."""
+    """Number of agents' messages that have been sent to each player."""
     left: int = -1
     """Agent of the player who has ended the game by leaving it; -1: nobody has."""
     asked: dict[int, float] = field(default_factory=dict)
-    """Players who have not answered the question at the end yet, and when they were asked."""
+    """Players who have not answered the question at the end yet, with the time at which it was asked."""
 
     @property
     def clock_ms(self) -> float:
@@ -126,7 +127,7 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Return whether all players are there and the disk takes what they do."""
+        """Return whether all players are connected and the disk accepts the data."""
         ended = self.over or bool(self.game.ended)
         return not ended and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
@@ -137,7 +138,7 @@ class Running:
 
 
 class Worker:
-    """Games of one process. A fault in one ends only that one."""
+    """Games of one process. An error in one ends only that one."""
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
@@ -155,13 +156,13 @@ class Worker:
         self._tried = time.monotonic()
 
     def table(self, number: int) -> EpisodeFactory:
-        """The table of plan ``number``."""
+        """Return the table of plan ``number``."""
         if number not in self.tables:
             self.tables[number] = EpisodeFactory(self.plans[number])
         return self.tables[number]
 
     def made(self, plan: int, index: int) -> dict[str, Any]:
-        """Manifest, GLB and distance grid of an episode, both compressed, and facts that its end will need; made once."""
+        """Return the manifest, GLB and distance grid of an episode, compressed, and what its end will need; made once."""
         if (plan, index) not in self._prepared:
             table = self.table(plan)
             game = LiveGame(table, index)
@@ -179,7 +180,7 @@ class Worker:
         return self._prepared[plan, index]
 
     def warm_up(self) -> None:
-        """Compiles or loads all kernels, and prepares the first episode.
+        """Compile or load all kernels, and prepare the first episode.
 
         Raises:
             H3DataError: one of the plans cannot be played.
@@ -219,7 +220,7 @@ class Worker:
             self.report()
 
     def try_disk(self) -> None:
-        """Lets games go on, end or begin that wait for space on the disk, if there is some."""
+        """Let games that wait for space on the disk continue, end or begin, if there is some."""
         now = time.monotonic()
         if now - self._tried < DISK_S:
             return
@@ -230,7 +231,7 @@ class Worker:
         self._waiting += [(key, body, now) for key, body in self._no_room.items() if key not in waiting]
 
     def begin_next(self) -> None:
-        """Begins the game that has waited longest, if no other game is late.
+        """Begin the game that has waited longest, if no other game is late.
 
         Beginning takes as long as three steps, and several at once would stop the games that are running.
         """
@@ -241,7 +242,7 @@ class Worker:
             self.guarded(key, Worker.begin, body)
 
     def homes_ahead(self) -> Iterator[None]:
-        """Makes the homes of each plan's first episodes, one at a time.
+        """Make the homes of each plan's first episodes, one at a time.
 
         Each takes half a second, which is available while nobody plays.
         """
@@ -284,7 +285,7 @@ class Worker:
         return now + period + (taken[longest] + gaps[longest] / 2) % period
 
     def report(self) -> None:
-        """Reports once a second which share of a core the games use.
+        """Report once a second which share of a core the games use.
 
         It is CPU time, with the median step of each game: neither other programs on the machine nor a single planning
         step should turn players away. Games that everybody has left do not count: nobody may come back to them.
@@ -299,7 +300,7 @@ class Worker:
         self._reported = now
 
     def close_all(self, *, finish: bool) -> None:
-        """Finishes all recordings, or leaves them as logs that a later process goes on with."""
+        """Finish all recordings, or leave them as logs that a later process continues."""
         closed = []
         for running in self.games.values():
             try:
@@ -326,7 +327,7 @@ class Worker:
         self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
-        """Begins a game, continues one, or reports the end of one that had ended when the server was killed."""
+        """Begin a game, continue one, or report the end of one that had ended when the server was killed."""
         order = msgspec.convert(body, GameOrder)
         if order.facts is None and key not in self._no_room:
             self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
@@ -375,7 +376,7 @@ class Worker:
         self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
-        """Take note that somebody came or went. The world stands still until all players are there."""
+        """Handle a player who has connected or left. The world stands still until all players are connected."""
         running = self.games.get(key)
         if running is None or running.over:
             return
@@ -399,7 +400,7 @@ class Worker:
             self.channel.send("told", key, [number, {"question": running.game.app.question}])
 
     def input(self, key: str, body: list[Any]) -> None:
-        """A message of a player, which waits for its step."""
+        """Take a message of a player, which waits for its step."""
         running = self.games.get(key)
         number, text, arrived = body
         if running is None or running.over or (len(running.waiting) >= MOST_WAITING and not running.is_stuck):
@@ -440,19 +441,19 @@ class Worker:
         self.channel.send("told", key, [number, {"can": {"p": point, **reply}}])
 
     def pack(self, key: str, body: dict[str, str]) -> None:
-        """Packs a finished recording, which takes a tenth of a second: the front has a process do it in which nobody plays."""
+        """Send a finished recording to the front to be packed, which takes a tenth of a second in a process without games."""
         del key
         if Path(body["path"]).is_file():  # else it has been deleted meanwhile
             pack_mcap(Path(body["path"]), share_in=body["share_in"])
 
     def stop(self, key: str, body: Any) -> None:
-        """The process ends; all recordings are finished, or left as logs."""
+        """Finish all recordings, or leave them as logs, and end the process."""
         del key
         self.stops, self.finishes = True, bool(body["finish"])
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self, key: str, body: Any) -> None:
-        """Plays one step of a game with the messages that have arrived for it."""
+        """Play one step of a game with the messages that have arrived for it."""
         del body
         running = self.games[key]
         game, cpu = running.game, time.process_time()
@@ -558,14 +559,14 @@ class Worker:
             self.finish(running)
 
     def end_unanswered(self) -> None:
-        """Ends the games whose players have not answered the question at the end in time."""
+        """End the games whose players have not answered the question at the end in time."""
         for running in list(self.games.values()):
             if running.asked and time.monotonic() - max(running.asked.values()) > ANSWER_S:
                 running.asked = {}
                 self.guarded(running.key, lambda worker, _key, _body, running=running: worker.finish(running), None)
 
     def finish(self, running: Running) -> None:
-        """Closes the recording and tells the players, as soon as the disk has it."""
+        """Close the recording and tell the players, as soon as the disk has it."""
         running.over = True
         running.recording = running.game.close()
         if running.game.fault:
@@ -604,7 +605,7 @@ _HANDLERS = {
 
 
 def rehearse(table: EpisodeFactory) -> None:
-    """Plays an episode that nobody sees, to compile and load all kernels.
+    """Play an episode that nobody sees, to compile and load all kernels.
 
     Kernels that are loaded only when somebody first walks, takes something or gives way would stop a live world for a
     second each.
@@ -638,7 +639,7 @@ def rehearse(table: EpisodeFactory) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Talks to the front over an inherited socket until either ends."""
+    """Talk to the front over an inherited socket until either ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes; the front decides
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     channel = Channel(socket.socket(fileno=descriptor))

@@ -1,4 +1,4 @@
-"""Worker processes as the front sees them: started, fed, replaced when they die."""
+"""Worker processes of the front: started, supplied, and replaced when they die."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from h3data_play.channel import encode, receive
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_UNSENT = 1 << 20
-"""Messages of players are dropped while a worker has this many bytes still to read: it is stuck, and the front must not be."""
+"""Number of unread bytes of a worker above which messages of players are dropped: the worker is stuck, and the front
+must not be."""
 EXPECTED_SHARE = 0.06
-"""Share of a core that a game takes before one has been measured."""
+"""Share of a core that a game is expected to take before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
 """Largest numbers of files and of prepared episodes that the front keeps."""
 PREPARE_S = 60.0
 """Time after which the worker that plays prepares an episode itself [s]."""
 READY_S = 600.0
-"""A worker may compile kernels for minutes, once per machine."""
+"""Time within which a worker gets ready [s]: it may compile kernels for minutes, once per machine."""
 
 Heard = Callable[["WorkerProcess", str, str, Any], None]
 
@@ -92,13 +93,13 @@ class WorkerProcess:
         self._lost(self)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Sends a letter; nothing where it is gone."""
+        """Send a letter; do nothing if the process is gone."""
         if self._writer is not None and not self._writer.is_closing():
             self._writer.write(encode(kind, key, body))
 
     @property
     def with_one_more(self) -> float:
-        """Share of a core that its games would take with a further one; those that have just begun count as the others."""
+        """Share of a core that its games would take with a further one; new games count as average ones."""
         each = self.busy / self.measured if self.measured else EXPECTED_SHARE
         return self.busy + each * (max(len(self.games) - self.measured - self.left, 0) + 1)
 
@@ -108,7 +109,7 @@ class WorkerProcess:
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Lets it finish its recordings, or leave them as logs with which a later server goes on; waits until it has ended."""
+        """Let it finish its recordings, or leave them as logs for a later server; wait until it has ended."""
         self.send("stop", "", {"finish": finish})
         try:
             await asyncio.wait_for(asyncio.to_thread(self.process.wait), seconds)
@@ -150,11 +151,11 @@ class Workers:
         return worker
 
     def least_busy(self) -> WorkerProcess:
-        """Returns the worker that should play the next game."""
+        """Return the worker that should play the next game."""
         return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
     def ready_spare(self) -> WorkerProcess | None:
-        """The warm spare, if there is one."""
+        """Return the warm spare, if there is one."""
         spare = self.spare
         if spare is None or not spare.done() or spare.cancelled() or spare.exception() is not None:
             return None
@@ -172,7 +173,7 @@ class Workers:
             self._on_lost(worker)
 
     async def replacement(self) -> WorkerProcess:
-        """The warm spare, or the next process that gets ready; another spare is started."""
+        """Return the warm spare, or the next process that gets ready; another spare is started."""
         spare = self.spare or asyncio.create_task(self._started())
         worker = await spare
         self.spare = asyncio.create_task(self._started())
@@ -180,7 +181,7 @@ class Workers:
         return worker
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Finishes all recordings, or leaves them as logs."""
+        """Finish all recordings, or leave them as logs."""
         self._stops = True
         if self.spare is not None:
             if self.spare.done() and not self.spare.cancelled() and self.spare.exception() is None:
@@ -221,7 +222,7 @@ class Preparer:
             asked[1].set_result(None)
 
     def made(self, order: GameOrder) -> dict[str, Any] | None:
-        """Returns the prepared files of an episode, if they are still there."""
+        """Return the prepared files of an episode, if they are still there."""
         found = self._made.get(prepared_key(order))
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
@@ -237,7 +238,7 @@ class Preparer:
         return asked[1]
 
     async def wait(self, order: GameOrder) -> dict[str, Any] | None:
-        """Waits for the prepared files of an episode; None if the worker that plays it has to prepare them."""
+        """Wait for the prepared files of an episode; return None if the worker that plays it has to prepare them."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(PREPARE_S):
                 await self._workers.warm_spare()

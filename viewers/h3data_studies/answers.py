@@ -46,13 +46,13 @@ class FormDifference:
 
 
 def filled(person: Participant) -> Iterator[tuple[Form, str, Answers]]:
-    """A participant's forms with their condition (empty: of none) and answers."""
+    """Yield a participant's forms with their condition (empty: of none) and answers."""
     for _, form, condition, answers in filled_stages(person):
         yield form, condition, answers
 
 
 def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answers]]:
-    """Forms that were filled in, with the stage in which each was asked."""
+    """Yield forms that were filled in, with the stage in which each was asked."""
     progress = person.progress
     for stage in progress.stages:
         if stage.kind == "form" and stage.key in progress.rows:
@@ -61,7 +61,7 @@ def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answe
 
 
 def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[FormMean], list[FormDifference]]:
-    """Means of all forms with scales by condition, and the paired differences of conditions."""
+    """Return the means of all forms with scales by condition, and the paired differences of conditions."""
     given: dict[str, dict[str, dict[str, list[float]]]] = {}
     for person in people:
         for form, condition, answers in filled(person):
@@ -121,7 +121,7 @@ def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[
 
 
 def check_rows(people: Sequence[Participant]) -> list[list[str]]:
-    """Every answer to a check, those that were given again included, a row each, with a header."""
+    """Return every answer to a check, also those before a retry, a row each, with a header."""
     rows = [["participant", "stage", "form", "attempt", "item", "answer", "right"]]
     for person in people:
         progress = person.progress

@@ -1,4 +1,4 @@
-"""Content of a study file, as records that the command and the server share."""
+"""Records of a study file, which the command and the server share."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Role = Literal["person", "robot"]
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fields that are misspelled in a file are errors."""
+    """Base of records whose misspelled fields in a file are errors."""
 
 
 class Condition(Record, frozen=True):
@@ -34,7 +34,7 @@ class Condition(Record, frozen=True):
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
     text: Text = ""
-    """Text that participants read before the first episode. It should not give the condition away."""
+    """Text that participants read before the first episode. It should not reveal the condition."""
 
     @property
     def is_solo(self) -> bool:
@@ -62,20 +62,20 @@ class Consent(Record, frozen=True):
 
 
 class Device(Record, frozen=True):
-    """Computers and connections that are good enough."""
+    """Requirements for the computers and connections of participants."""
 
     max_ping_ms: Annotated[float, Meta(gt=0)] = 250.0
     """Largest median round trip [ms]."""
     min_width: Annotated[int, Meta(ge=0)] = 640
     """Least width of the window [px]."""
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
-    """Pictures per second of a blank scene."""
+    """Least number of pictures per second of a blank scene."""
     touch: bool = True
     """True if phones and tablets may take part."""
 
 
 class Tutorial(Record, frozen=True):
-    """The practice that has to be passed before anything counts."""
+    """Practice that participants must pass before episodes count."""
 
     app: str = "tutorial"
     rules: dict[str, Any] = {}
@@ -86,28 +86,28 @@ class Tutorial(Record, frozen=True):
 
 
 class DropOut(Record, frozen=True):
-    """Rule by which a participant counts as gone and their place is given to somebody else."""
+    """Rule by which a participant counts as gone and their place is given to another."""
 
     idle_minutes: Minutes = 20.0
-    """Minutes without a key, click or answer; pauses count."""
+    """Time without a key, click or answer after which a participant has dropped out [minutes]; pauses count."""
     total_minutes: Minutes = 240.0
     """Time limit from consent to the end [min]."""
     wait_minutes: Minutes = 20.0
-    """Time for which somebody waits for the participant with whom they are to play [min]."""
+    """Time for which a participant waits for their partner of a pair [min]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
-    """Episodes of which a larger share of steps came late are left out of the report."""
+    """Largest share of late steps of an episode in the report; episodes with more are left out."""
 
 
 class Recruiting(Record, frozen=True):
     """Recruiting of participants, and the code that they return to the platform."""
 
     require_id: bool = False
-    """Only people whose link has ``PROLIFIC_PID`` may take part."""
+    """True if only people whose link has ``PROLIFIC_PID`` may take part."""
     id_pattern: str | dict[str, str] | None = None
     """Regular expression of a whole ``PROLIFIC_PID``, or of each id by its name; None: 24 hexadecimal digits."""
     completion_code: str = ""
     completion_url: str = ""
-    """Opened at the end; ``{code}`` stands for the code."""
+    """Address that is opened at the end; ``{code}`` stands for the code."""
     screen_out_code: str = ""
     screen_out_url: str = ""
     unique_codes: bool = False
@@ -115,7 +115,7 @@ class Recruiting(Record, frozen=True):
 
 
 class Exclude(Record, frozen=True):
-    """A rule, written before anybody takes part, by which the report leaves out participants or episodes."""
+    """Rule, fixed before the study begins, by which the report leaves out participants or episodes."""
 
     name: Name
     what: str
@@ -151,18 +151,18 @@ class Item(Record, frozen=True):
     """Options of a choice; the answer is the number of an option, from 0."""
     required: bool = True
     reversed: bool = False
-    """A high answer counts as a low one in the mean of the form."""
+    """True if a high answer counts as a low one in the mean of the form."""
     right: float | list[float] | None = None
-    """The answer, or the answers, that are right (of a choice: the number of the option, from 0): the item is a check, and does
-    not count in the mean of the form. Pages are not told it."""
+    """Right answer, or answers (of a choice: the number of the option, from 0): the item is a check, and does not count
+    in the mean of the form. Pages do not contain it."""
 
     @property
     def right_answers(self) -> list[float] | None:
-        """All answers that are right; None: the item is no check."""
+        """All right answers; None: the item is not a check."""
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
-        """Returns whether an answer passes; every answer does where the item is no check."""
+        """Return whether an answer passes; every answer does if the item is not a check."""
         return self.right_answers is None or answer in self.right_answers
 
 
@@ -171,15 +171,15 @@ class Form(Record, frozen=True):
 
     id: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]{0,39})?$")] = ""
     builtin: str = ""
-    """``nasa_tlx``, ``fluency`` or ``trust`` instead of items of one's own."""
+    """Built-in questionnaire instead of items of one's own: ``nasa_tlx``, ``fluency`` or ``trust``."""
     after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
-    """``trial``: after each episode."""
+    """Place of the form in the study; ``trial``: after each episode."""
     attempts: Count = 1
     """Number of times that checks (items with ``right``) may be answered."""
     fail: Literal["screen_out", "note"] = "screen_out"
     """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
     again: Text = ""
-    """Text above the form when a check was not passed and there is another attempt."""
+    """Text above the form when a check was not passed and another attempt is left."""
     conditions: list[str] = []
     """Conditions after which the form is shown (default: all; built-in forms about the robot leave out those without one)."""
     title: Text = ""
@@ -188,7 +188,7 @@ class Form(Record, frozen=True):
 
     @property
     def has_checks(self) -> bool:
-        """Returns whether some answers are right and others wrong."""
+        """Return whether some answers are right and others wrong."""
         return any(item.right is not None for item in self.items)
 
 
@@ -210,7 +210,7 @@ class Design(Record, frozen=True):
     """Number of episodes per condition."""
     seed: Annotated[int, Meta(ge=0)] = 0
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
-    """The first is the default."""
+    """Languages of the study; the first is the default."""
     minutes: Count | None = None
     """Duration that is announced to participants [minutes]."""
     about: Text = ""
@@ -231,11 +231,11 @@ class Design(Record, frozen=True):
         return any(condition.is_shared for condition in self.conditions)
 
     def condition(self, name: str) -> Condition:
-        """The condition with a name."""
+        """Return the condition with a name."""
         return next(c for c in self.conditions if c.name == name)
 
     def say(self, text: Text, language: str) -> str:
-        """A text in a language; in the study's first one where it has none in that."""
+        """Return a text in a language; in the study's first language if there is no other."""
         if isinstance(text, str):
             return text
         return (
@@ -262,7 +262,7 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """A study ready to be served: made by the command, read by the server and by workers."""
+    """A study ready for a server: made by the command, read by the server and by workers."""
 
     design: Design
     out: str
@@ -277,5 +277,5 @@ class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
     """File of the secret that makes pseudonyms."""
 
     def number(self, condition: str, scene: str) -> int:
-        """Number of the plan of a condition, or of the tutorial (empty name), in a scene."""
+        """Return the number of the plan of a condition, or of the tutorial (empty name), in a scene."""
         return self.numbers[f"{condition}|{scene}"]

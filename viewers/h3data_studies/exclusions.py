@@ -14,7 +14,7 @@ from h3data_studies.overview import PlayedEpisode, played
 from h3data_studies.store import Participant
 
 FOCUS = "focus"
-"""Rows of the log of when participants had turned to another window."""
+"""Rows of the log of times at which participants turned to another window."""
 PARTICIPANT_MEASURES = {
     "failed_checks": "checks that were not passed in the last attempt",
     "check_retries": "answers to checks that had to be given again",
@@ -74,7 +74,7 @@ class Exclusions:
 
 
 def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:
-    """Applies the rules of a study."""
+    """Apply the rules of a study."""
     counts = {rule.name: 0 for rule in design.exclude}
 
     def reasons(of: str, measured: dict[str, float]) -> str:
@@ -95,7 +95,7 @@ def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:
 
 
 def rule_text(rule: Exclude) -> str:
-    """A rule in words."""
+    """Return a rule in words."""
     of = "Participants" if rule.of == "participant" else "Episodes"
     measures = PARTICIPANT_MEASURES if rule.of == "participant" else TRIAL_MEASURES
     bounds = [
@@ -105,7 +105,7 @@ def rule_text(rule: Exclude) -> str:
 
 
 def focus_rows(people: Sequence[Participant]) -> list[list[str | float]]:
-    """The log of when participants turned to another window and came back, with a header; times are Unix times [s]."""
+    """Return the log of when participants turned to another window and came back, with a header; Unix times [s]."""
     rows: list[list[str | float]] = [["participant", "time", "stage", "away", "why", "seconds"]]
     for person in people:
         rows += [

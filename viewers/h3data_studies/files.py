@@ -1,4 +1,4 @@
-"""Reading a study file, checking it, and planning who plays what. This runs in the command, not in the server."""
+"""Reading and checking of a study file, and assignment of episodes. This runs in the command, not in the server."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
-"""File in the folder of a study with the contents of its study file when the first participant came."""
+"""Name of the file in the folder of a study with a copy of the study file from the arrival of the first participant."""
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 
 def read_design(path: Path) -> Design:
-    """The study file at ``path``, checked but for what needs the simulator.
+    """Read the study file at ``path``, checked except for what needs the simulator.
 
     Raises:
         InputError: it cannot be read, or says something that is not possible; the message names the place.
@@ -236,7 +236,7 @@ def _check_rule(rule: Exclude) -> None:
 
 
 def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
-    """The design with other formats of ids."""
+    """Return the design with other formats of ids."""
     recruiting = msgspec.structs.replace(design.recruiting, id_pattern=pattern)
     return msgspec.structs.replace(design, recruiting=recruiting)
 
@@ -284,17 +284,17 @@ def _distinct(what: str, names: list[str]) -> None:
 
 
 def study_folder(path: Path, design: Design) -> Path:
-    """Returns the folder of a study's recordings: beside its file, with its name and version."""
+    """Return the folder of a study's recordings: beside its file, with its name and version."""
     return path.parent / f"{design.name}-{design.version}"
 
 
 def bots_folder(folder: Path) -> Path:
-    """Returns the folder in which scripted participants leave what people leave in a study's ``folder``."""
+    """Return the folder for the data of scripted participants, beside a study's ``folder``."""
     return folder.with_name(folder.name + "-bots")
 
 
 def deal(design: Design) -> tuple[Place, ...]:
-    """Deals conditions, scenes and episodes to all participants; two neighbours are dealt the same if pairs play together.
+    """Assign conditions, scenes and episodes to all participants; both of a pair that plays together get the same.
 
     Raises:
         InputError: there are no such scenes.
@@ -328,7 +328,7 @@ def scene_names(design: Design) -> list[str]:
 
 
 def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
-    """A study ready to be served; above a ``speed`` of 1 time runs faster, for scripted participants.
+    """Prepare a study for a server; above a ``speed`` of 1 time runs faster, for scripted participants.
 
     Raises:
         InputError: there are no such scenes, apps, policies or rules.
@@ -363,7 +363,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
 
 
 def key_file(folder: Path) -> Path:
-    """The secret of a study: beside its folder, so that whoever gets the folder does not get the key."""
+    """Return the file of a study's secret: beside its folder, so that a copy of the folder lacks the key."""
     return folder.resolve().with_name(folder.resolve().name + ".key")
 
 
@@ -389,7 +389,7 @@ def _tutorial(design: Design) -> Condition:
 
 
 def open_study(path: Path) -> tuple[Path, Design]:
-    """Folder and design of a study that has begun, from its file or its folder; of one that only bots have played, theirs.
+    """Return folder and design of a study that has begun, from its file or its folder; else those of its bots.
 
     Raises:
         InputError: there is none, or nobody has begun it.
@@ -414,7 +414,7 @@ def open_study(path: Path) -> tuple[Path, Design]:
 
 
 def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
-    """Participants of a study. Changes to a ``read_only`` one are not kept.
+    """Open the participants of a study. Changes to a ``read_only`` one are not stored.
 
     Raises:
         InputError: nobody has taken part.

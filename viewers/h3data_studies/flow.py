@@ -1,4 +1,4 @@
-"""The order of what a participant does, as a state machine without any input or output.
+"""Order of a participant's stages, as a state machine without input or output.
 
 What has happened is a list of rows (stage, data); the state follows from them, so that whatever is on the disk after a crash is
 a state, too.
@@ -17,15 +17,16 @@ STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
 SMALL = "small_window"
 """Reason why a device is refused for now; also the row of its last report."""
 CHECK, FAILED = "check", "failed_check"
-"""Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
+"""Rows of answers that did not pass a form's checks; and reason for screening out a participant who failed the last
+attempt."""
 PARTED, UNPAIRED = "partner_left", "no_partner"
-"""Reasons for the end of a participation: the participant with whom they played has gone, or none has come."""
+"""Reasons for the end of a participation: the partner of the pair has gone, or none has come."""
 PASSED = "success"
 """Ending of a passed episode of the tutorial."""
 
 
 class NotNow(Exception):
-    """Error for a participant who is elsewhere in the study or has sent something invalid; the text is for them."""
+    """Error for a participant who is at another stage or has sent something invalid; the text is for them."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Stage:
     after: str = ""
     """Place of a form in the study, `Form.after`."""
     row: str = ""
-    """`key`, where that does not follow from the above."""
+    """Value of `key`, if it does not follow from the above."""
 
     @property
     def key(self) -> str:
@@ -93,12 +94,12 @@ class Progress:
 
     @property
     def done(self) -> int:
-        """Number of stages that are over."""
+        """Number of completed stages."""
         return sum(stage.key in self.rows for stage in self.stages)
 
     @property
     def attempts(self) -> int:
-        """Episodes of the tutorial that are over."""
+        """Number of completed episodes of the tutorial."""
         return sum(key.startswith("tutorial/") for key in self.rows)
 
     def is_shared(self, row: str) -> bool:
@@ -113,7 +114,7 @@ class Progress:
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """Stores what is known about the participant's device, which ends the participation if it is not suitable.
+        """Store what is known about the participant's device, which ends the participation if it is not suitable.
 
         A window that is too small can be enlarged and is checked again, unless the report is the ``final`` one.
 
@@ -142,7 +143,7 @@ class Progress:
     def answer(
         self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
     ) -> dict[str, dict[str, Any]]:
-        """Stores the answers of the form that is next.
+        """Store the answers of the form that is next.
 
         A form whose checks are not passed is asked again; after the last attempt the answers are stored, and the
         participation may end.
@@ -176,11 +177,11 @@ class Progress:
 
     @property
     def tries(self) -> int:
-        """Returns how often the next form was answered without passing its checks."""
+        """Return how often the next form was answered without passing its checks."""
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
-        """Checks that a page refers to the present episode.
+        """Check that a page refers to the present episode.
 
         Raises:
             NotNow: it names another episode (`Stage.block`, `Stage.trial`).
@@ -191,19 +192,19 @@ class Progress:
 
     @property
     def form(self) -> Form:
-        """The form that is next."""
+        """Form that is next."""
         stage = self.stage
         return self.form_of(stage)[0]
 
     def form_of(self, stage: Stage) -> tuple[Form, str]:
-        """The form of a stage, and the condition that it is about (empty: none)."""
+        """Return the form of a stage, and the condition that it is about (empty: none)."""
         condition = self.place.blocks[stage.block - 1].condition if stage.after in ("trial", "condition") else ""
         forms = forms_after(self.design, stage.after, condition)
         return next(form for form in forms if form.id == stage.form), condition
 
     # --- what games do ------------------------------------------------------------------------------------------------
     def over(self, key: str, result: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """An episode is over.
+        """Handle the end of an episode.
 
         Args:
             key: Key of the stage, or of the attempt at the tutorial.
@@ -228,7 +229,7 @@ class Progress:
         return self._note(rows)
 
     def end(self, status: str, reason: str) -> None:
-        """Ends the participation, once."""
+        """End the participation, once."""
         if self.status == ACTIVE:
             self.status, self.reason = status, reason
 

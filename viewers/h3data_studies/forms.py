@@ -1,4 +1,4 @@
-"""Built-in questionnaires, and what an answer must be.
+"""Built-in questionnaires, and the checks of answers.
 
 NASA-TLX: S. G. Hart and L. E. Staveland, "Development of NASA-TLX", 1988, without the pairwise weighting (raw TLX: S. G. Hart,
 "NASA-Task Load Index (NASA-TLX); 20 Years Later", 2006): six scales from 0 to 100 in steps of 5. Fluency: the subjective scales
@@ -16,7 +16,7 @@ from h3data_studies.design import Design, Form, Item
 from h3data_studies.texts import in_all_languages
 
 LONGEST_TEXT = 4000
-"""Characters of a free answer."""
+"""Largest number of characters of a free answer."""
 
 
 def _agree(name: str, text: str, *, reversed: bool = False) -> Item:
@@ -83,13 +83,13 @@ _ENGLISH: dict[str, Form] = {
     ),
 }
 BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
-"""Questionnaires by name. The German and Spanish words are our translations; nobody has validated them."""
+"""Questionnaires by name. The German and Spanish words are our translations and have not been validated."""
 ABOUT_ROBOT = ("fluency", "trust")
-"""Forms that make no sense where nobody else was there."""
+"""Forms about the robot, which are left out of conditions without one."""
 
 
 def resolved(form: Form) -> Form:
-    """Form with all its items: those of the built-in form that it names, then its own, such as a check.
+    """Return a form with all its items: those of the built-in form that it names, then its own, such as a check.
 
     Its own title and text replace those of the built-in form.
     """
@@ -111,7 +111,7 @@ def resolved(form: Form) -> Form:
 
 
 def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
-    """The forms after consent, practice, each episode of a condition, all of them, or at the end."""
+    """Return the forms after consent, practice, each episode of a condition, all of them, or at the end."""
     found = []
     for form in map(resolved, design.forms):
         if form.after != what or (condition and form.conditions and condition not in form.conditions):
@@ -123,7 +123,7 @@ def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
 
 
 def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, float | str], str]:
-    """The answers that a form takes, and a sentence about the first that it does not."""
+    """Return the answers that a form accepts, and a sentence about the first that it does not accept."""
     taken: dict[str, float | str] = {}
     if unknown := set(answers) - {item.id for item in form.items}:
         return {}, f"There is no question {sorted(unknown)[0][:40]!r} in this form."
@@ -149,12 +149,12 @@ def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, floa
 
 
 def wrong_items(form: Form, answers: dict[str, float | str]) -> list[str]:
-    """The checks of a form that its answers do not pass."""
+    """Return the checks of a form that its answers do not pass."""
     return [item.id for item in form.items if not item.is_right(answers.get(item.id))]
 
 
 def right_answers(design: Design) -> dict[tuple[str, str], float]:
-    """A right answer to each check of a study, by form and item."""
+    """Return a right answer to each check of a study, by form and item."""
     found: dict[tuple[str, str], float] = {}
     for form in map(resolved, design.forms):
         for item in form.items:
@@ -164,7 +164,7 @@ def right_answers(design: Design) -> dict[tuple[str, str], float]:
 
 
 def score(form: Form, answers: dict[str, float | str]) -> float | None:
-    """Mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
+    """Return the mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
     values = [
         item.min + item.max - float(answers[item.id]) if item.reversed else float(answers[item.id])
         for item in form.items

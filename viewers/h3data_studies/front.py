@@ -1,4 +1,4 @@
-"""The server of a study: the pages before, between and after the episodes, and which episode each participant plays."""
+"""Server of a study: the pages before, between and after the episodes, and the assignment of episodes to participants."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ from h3data_studies.store import Participant, StudyStore, pair_entry
 from h3data_studies.views import consent_view, end_view, stage_view
 
 CHECK_S, HURRIED_S = 60.0, 10.0
-"""Time after which a place is given back if the check of the computer has not come, and the shorter time that holds while
-somebody else wants the place [s]."""
+"""Time without a check of the computer after which a place is released, and the shorter time that applies while another
+person wants the place [s]."""
 MOST_UNCHECKED = 3
-"""Participants of one network address who have agreed but whose computers have not been checked yet."""
+"""Largest number of participants of one network address who have agreed but whose computers have not been checked
+yet."""
 JOINS_S = 600.0
-"""An address may send as many new participants in this time as may take part from it at once."""
+"""Time within which an address may send as many new participants as may take part from it at once [s]."""
 TOKEN_LENGTH = len(new_token())
 NOT_YET = "The other participant is not here yet. Please keep this page open."
 MEET_S = 0.5
@@ -53,7 +54,7 @@ class Hello(msgspec.Struct, frozen=True):
     ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
     language: Short = ""
     rejoin: Annotated[str, Meta(max_length=80)] = ""
-    """Code of a link by which a participant goes on in another browser."""
+    """Code of a link with which a participant continues in another browser."""
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -66,7 +67,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class DeviceReport(msgspec.Struct, frozen=True):
-    """Body of ``api/study/device``: what kind of computer it is, not which one."""
+    """Body of ``api/study/device``: the kind of computer, not its identity."""
 
     webgl: bool
     ping_ms: Measure
@@ -88,7 +89,7 @@ class Filled(msgspec.Struct, frozen=True):
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """Number of the block, as the view named it."""
+    """Number of the block, as in the view."""
     trial: int | None = None
 
 
@@ -118,7 +119,7 @@ class Episode(msgspec.Struct, frozen=True):
 
 
 class StudyServer(WebServer):
-    """All participants of one study."""
+    """Server of all participants of one study."""
 
     journal: StudyStore
     seat_s = 30 * 86400
@@ -179,7 +180,7 @@ class StudyServer(WebServer):
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """Web application with the study's pages besides those of live play."""
+        """Return the web application with the study's pages besides those of live play."""
         app = super().application()
         for prefix in ("", "/s/{key}"):
             app.router.add_post(prefix + "/api/study", self.hello)
@@ -224,7 +225,7 @@ class StudyServer(WebServer):
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def hello(self, request: web.Request) -> web.Response:
-        """Returns the stage of the participant; before consent, the text that they are asked to agree to."""
+        """Answer with the stage of the participant; before consent, with the text that they are asked to agree to."""
         body, token = await self._read(request, Hello), ""
         participant = self._participant(request, body.ids)
         if body.rejoin and (participant is None or not participant.is_active):
@@ -257,7 +258,7 @@ class StudyServer(WebServer):
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 
     async def consent(self, request: web.Request) -> web.Response:
-        """A new participant; of those who decline only their number is kept."""
+        """Add a new participant; of people who decline, only the number is stored."""
         body = await self._read(request, Answer)
         participant, token = self._participant(request, body.ids), self._token(request)
         language = self._language(body.language)
@@ -309,7 +310,7 @@ class StudyServer(WebServer):
         self._joins[address] = left - 1, now
 
     async def device(self, request: web.Request) -> web.Response:
-        """Stores the page's report about the computer and its connection."""
+        """Store the page's report about the computer and its connection."""
         body = await self._read(request, DeviceReport)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -320,7 +321,7 @@ class StudyServer(WebServer):
         return answer
 
     async def form(self, request: web.Request) -> web.Response:
-        """A form that has been filled in."""
+        """Store a form that has been filled in."""
         body = await self._read(request, Filled)
 
         def answer(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -336,7 +337,7 @@ class StudyServer(WebServer):
         return self._act(request, answer)
 
     async def pause(self, request: web.Request) -> web.Response:
-        """Notes a pause, or its end. The world stands still by itself while nobody is connected to it."""
+        """Store a pause, or its end. The world stands still by itself while nobody is connected to it."""
         body = await self._read(request, Pause)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -349,7 +350,7 @@ class StudyServer(WebServer):
         return self._act(request, note)
 
     async def focus(self, request: web.Request) -> web.Response:
-        """Notes that the participant has turned to another window, or is back; being away is no activity."""
+        """Store that the participant has turned to another window, or is back; being away is no activity."""
         body, participant = await self._read(request, Focus), self._required(request)
         progress = participant.progress
         count = sum(key.startswith(f"{FOCUS}/") for key in progress.rows)
@@ -363,7 +364,7 @@ class StudyServer(WebServer):
         return web.Response(status=204)
 
     async def withdraw(self, request: web.Request) -> web.Response:
-        """The participant stops taking part."""
+        """End the participation at the participant's wish."""
         await self._read(request, Hello)
 
         def stop(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -483,7 +484,7 @@ class StudyServer(WebServer):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Gives a seat to a browser whose page is about the episode that is next."""
+        """Give a seat to a browser whose page is about the next episode."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:
@@ -597,7 +598,7 @@ class StudyServer(WebServer):
                 self._say_full(fault)
 
     def release_unchecked(self, seconds: float) -> None:
-        """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""
+        """Forget participants whose computers were not checked in time; their places and ids become free."""
         self.journal.count_time()
         for number in list(self._unchecked):
             participant = self.journal.participants.get(number)
@@ -609,7 +610,7 @@ class StudyServer(WebServer):
                 self.report({"released": {"participant": participant.id}})
 
     def look_for_drop_outs(self) -> None:
-        """Counts everybody's time, and ends the sessions of those who have done nothing for too long."""
+        """Update the time of all participants, and end the sessions of those who have been idle for too long."""
         self.journal.count_time()
         now = self.clock()
         for live in self.lives.values():

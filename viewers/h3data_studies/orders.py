@@ -1,4 +1,4 @@
-"""Orders of episodes: which one a worker plays for a stage, and where its recording lies."""
+"""Orders of episodes: the episode that a worker plays for a stage, and the file of its recording."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ RECORDINGS, TUTORIALS = "recordings", "tutorial"
 
 
 def game_key(participant: Participant, stage: Stage) -> str:
-    """Key of the game in which a participant plays a stage: ``P-.../episode/1/3``, ``P-.../tutorial/2``."""
+    """Return the key of the game in which a participant plays a stage: ``P-.../episode/1/3``, ``P-.../tutorial/2``."""
     name = f"tutorial/{participant.progress.attempts + 1}" if stage.kind == "tutorial" else stage.key
     return f"{participant.id}/{name}"
 
 
 def row_of(key: str) -> str:
-    """The row that the end of a game writes."""
+    """Return the name of the row that is stored when a game ends."""
     return key.partition("/")[2]
 
 
 def recording_path(folder: Path, pseudonym: str, row: str) -> Path:
-    """File of the recording of an episode or of an attempt at the tutorial.
+    """Return the file of the recording of an episode or of an attempt at the tutorial.
 
     Args:
         folder: Folder of the study.
@@ -52,7 +52,7 @@ def _facts(participant: Participant) -> dict[str, Any]:
 
 
 def order_of(study: StudyPlan, participant: Participant, key: str, company: Participant | None = None) -> GameOrder:
-    """Returns the order of a game for a worker, and the entries of its recording.
+    """Return the order of a game for a worker, and the entries of its recording.
 
     Args:
         study: Plan of the study.

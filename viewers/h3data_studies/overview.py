@@ -18,7 +18,7 @@ BOT = "bot"
 
 @dataclass(frozen=True)
 class PlayedEpisode:
-    """An episode that is over."""
+    """An episode that has ended."""
 
     participant: str
     condition: str
@@ -32,7 +32,7 @@ class PlayedEpisode:
     pair: tuple[str, ...] = ()
     """Both participants, in the order of their seats, if two have played it together."""
     remarks: tuple[Mapping[str, Any], ...] = ()
-    """Reported problems, and the answer to the question at the end, as the recording has them."""
+    """Reported problems, and the answer to the question at the end, from the recording."""
 
     @property
     def late(self) -> float:
@@ -41,12 +41,12 @@ class PlayedEpisode:
 
 
 def is_bot(participant: Participant) -> bool:
-    """Returns whether a participant is a script, and says so."""
+    """Return whether a participant is a script, and declares it."""
     return participant.progress.rows.get("device", {}).get("browser") == BOT
 
 
 def played(participant: Participant) -> list[PlayedEpisode]:
-    """A participant's episodes, practice left out, in order."""
+    """Return a participant's episodes, without practice, in order."""
     episodes = []
     for row, result in participant.progress.rows.items():
         kind, *numbers = row.split("/")

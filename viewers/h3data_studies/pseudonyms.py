@@ -1,4 +1,4 @@
-"""Pseudonyms of a study's participants under a secret that lies beside the study's folder, not in it."""
+"""Pseudonyms of a study's participants under a secret that is beside the study's folder, not in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import secrets
 from pathlib import Path
 
 IDS = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
-"""Ids that links of the recruiting platform carry; all are hashed at once."""
+"""Names of ids in links of the recruiting platform; all are hashed at once."""
 PATTERNS = {"PROLIFIC_PID": "[0-9a-fA-F]{24}"}
 """Formats of ids for which the study file gives none (``[recruiting] id_pattern``)."""
 ANY = ".*"
@@ -19,7 +19,10 @@ _PLACEHOLDER = re.compile(r"[{}<>%$\[\]]")
 
 
 def read_key(path: Path) -> bytes:
-    """The secret of a study, made at its first use and readable for its owner only: whoever gets the folder lacks the key."""
+    """Return the secret of a study, made at its first use and readable for its owner only.
+
+    It is not in the study's folder, so that a copy of the folder lacks the key.
+    """
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -30,7 +33,7 @@ def read_key(path: Path) -> bytes:
 
 
 def recruit_ids(given: dict[str, str], key: bytes) -> dict[str, str]:
-    """Pseudonyms of the ids that a link has brought; unknown and empty ones are left out."""
+    """Return pseudonyms of the ids in a participant's link; unknown and empty ones are left out."""
     from h3data.pseudonyms import anonymous_id  # light: it imports nothing but the standard library
 
     ids = {name: given.get(name, "").strip() for name in IDS}
@@ -67,7 +70,7 @@ def completion_code(pseudonym: str, key: bytes) -> str:
 
 
 def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
-    """Return the code by which a participant goes on in another browser, once: another seat has another code.
+    """Return the code by which a participant continues once in another browser; another seat has another code.
 
     Args:
         pseudonym: Pseudonym of the participant.

@@ -1,4 +1,4 @@
-"""The server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
+"""Server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
     study: StudyPlan
 
     def front(self, **given: Any) -> StudyServer:
-        """Server of the study."""
+        """Return the server of the study."""
         return StudyServer(self.study, **given)
 
 

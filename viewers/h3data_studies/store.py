@@ -45,25 +45,25 @@ class Participant:
     place: int
     """Index into `StudyPlan.places`."""
     joined: float
-    """Unix time at which the participant joined [s], a date for readers; no duration is measured by it."""
+    """Unix time at which the participant joined [s], for readers; no duration is measured by it."""
     used: float
-    """Time since they agreed during which the study was served [s]."""
+    """Time since the participant's consent during which the study was served [s]."""
     idle: float
     """Time since the participant last did something [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
-    """Version and SHA-256 of the text that they agreed to."""
+    """Version and SHA-256 of the text that the participant agreed to."""
     ids: dict[str, str]
     """Pseudonyms of the recruiting platform's ids."""
     progress: Progress
     ended: float | None = None
-    """Unix time, as ``joined``."""
+    """Unix time of the end of the participation [s]."""
     times: dict[str, float] = field(default_factory=dict)
     """Time at which each row was written."""
 
     @property
     def is_active(self) -> bool:
-        """Returns whether the participant is taking part, and has neither finished nor left."""
+        """Return whether the participant is taking part, and has neither finished nor left."""
         return self.progress.status == ACTIVE
 
 
@@ -170,11 +170,11 @@ class StudyStore(SeatLog):
 
     # --- participants -------------------------------------------------------------------------------------------------
     def by_id(self, pseudonym: str) -> Participant | None:
-        """The participant with a pseudonym."""
+        """Return the participant with a pseudonym."""
         return next((p for p in self.participants.values() if p.id == pseudonym), None)
 
     def free_place(self) -> int | None:
-        """The first place that nobody has or has filled: that of somebody who has dropped out is free again.
+        """Return the first place that nobody has or has filled; places of people who dropped out are free again.
 
         In a study of pairs, a place stays empty if the participant at the other place of the pair has begun to play
         with the one who has left.
@@ -194,11 +194,11 @@ class StudyStore(SeatLog):
 
     # --- pairs --------------------------------------------------------------------------------------------------------
     def company(self, participant: Participant) -> Participant | None:
-        """The other participant of a pair: who has its other place, or had it last. Two neighbouring places are a pair."""
+        """Return the other participant of a pair: the present or last holder of its other place."""
         return self._last_at(participant.place ^ 1) if self.design.has_pairs else None
 
     def players(self, game: Game) -> tuple[Participant, ...]:
-        """Participants who play a game, in the order of its seats: of a pair, the one with the even place first."""
+        """Return participants who play a game, in the order of its seats: of a pair, the one with the even place first."""
         first = self.participants.get(game.place)
         if first is None:
             return ()
@@ -206,7 +206,7 @@ class StudyStore(SeatLog):
         return (first,) if second is None else (first, second)
 
     def shared_game(self, participant: Participant) -> Game | None:
-        """The running game of a participant, whichever of the pair it is stored with."""
+        """Return the running game of a participant, stored with either of the pair."""
         game = self.open_game(participant.number)
         other = self.company(participant) if game is None else None
         game = self.open_game(other.number) if other is not None else game
@@ -266,7 +266,7 @@ class StudyStore(SeatLog):
             )
 
     def count_time(self) -> None:
-        """Adds the time since the last call to the time used by all active participants; called every few seconds.
+        """Add the time since the last call to the time used by all active participants; called every few seconds.
 
         `keep_time` writes it to the disk.
         """
@@ -279,13 +279,13 @@ class StudyStore(SeatLog):
                     participant.idle += passed
 
     def keep_time(self) -> None:
-        """Writes what everybody who is under way has used."""
+        """Store the time that active participants have used."""
         now = [(p.used, p.idle, p.number) for p in self.participants.values() if p.is_active]
         with self._transaction():
             self._db.executemany("update participants set used = ?, idle = ? where number = ?", now)
 
     def save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
-        """Writes new rows and the status, together."""
+        """Write new rows and the status, together."""
         self.count_time()
         try:
             self._save(participant, rows)
@@ -332,13 +332,13 @@ class StudyStore(SeatLog):
         return _Transaction(self._db)
 
     def forget(self, participant: Participant) -> dict[str, int]:
-        """Deletes a participant; returns how many entries of each kind there were. What is deleted is overwritten."""
+        """Delete a participant; return the number of entries of each kind. What is deleted is overwritten."""
         removed = self.remove(participant)
         self._db.execute("vacuum")
         return removed
 
     def remove(self, participant: Participant) -> dict[str, int]:
-        """Deletes a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
+        """Delete a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
         number = participant.number
         removed: dict[str, int] = {}
         other = self.company(participant)
@@ -364,11 +364,11 @@ class StudyStore(SeatLog):
 
     # --- seats --------------------------------------------------------------------------------------------------------
     def seat_of(self, participant: Participant) -> Seat | None:
-        """Returns the seat of a participant."""
+        """Return the seat of a participant."""
         return self.taken(participant.number, 0)
 
     def move(self, participant: Participant, token: str) -> Seat:
-        """A seat for the browser that holds ``token``; the one that the participant had is gone."""
+        """Give a participant a new seat for the browser that holds ``token``; the old seat is gone."""
         old = self.seat_of(participant)
         return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
 

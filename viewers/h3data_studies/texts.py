@@ -33,7 +33,7 @@ class FormWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Texts that exist in a language."""
+    """Texts in one language."""
 
     pages: dict[str, str]
     """Words of a study's pages, by name."""
@@ -42,14 +42,14 @@ class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     forms: dict[str, FormWords] = {}
     """Built-in questionnaires; the English ones are in `h3data_studies.forms`."""
     said: dict[str, str] = {}
-    """Translations of the server's sentences, by the English one; ``{}`` is replaced by a value."""
+    """Translations of the server's sentences, by the English sentence; ``{}`` is replaced by a value."""
     things: dict[str, str] = {}
-    """Words for things and places, by the English one."""
+    """Words for things and places, by the English words."""
 
 
 @cache
 def shipped(language: str) -> Language | None:
-    """The texts of the package in a language, such as ``de`` or ``de-AT``; None: there are none."""
+    """Return the texts of the package in a language, such as ``de`` or ``de-AT``; None: there are none."""
     short = language.partition("-")[0]
     if short not in SHIPPED:
         return None
@@ -61,13 +61,13 @@ LIVE: dict[str, str] = shipped("en").live  # type: ignore[union-attr]
 
 
 def words(design: Design, language: str) -> dict[str, str]:
-    """All words of a study's pages in a language: those of the package where the study file has no others."""
+    """Return all words of a study's pages in a language: those of the package where the study file has no others."""
     found = shipped(language)
     return ENGLISH | (found.pages if found is not None else {}) | design.texts.get(language, {})
 
 
 def page_words(design: Design, language: str) -> dict[str, str]:
-    """All texts of the page in a language.
+    """Return all texts of the page in a language.
 
     They are `words`, those of episodes as ``live_NAME``, and translations of the server's English sentences and words
     for things as ``said.TEXT`` and ``things.TEXT``.
@@ -84,7 +84,7 @@ def page_words(design: Design, language: str) -> dict[str, str]:
 
 
 def missing(design: Design, language: str) -> list[str]:
-    """Names of the words that a study in this language lacks; empty: all are there."""
+    """Return names of the words that a study in this language lacks; empty: all are there."""
     if shipped(language) is not None:
         return []
     given = design.texts.get(language, {})
@@ -92,7 +92,7 @@ def missing(design: Design, language: str) -> list[str]:
 
 
 def in_all_languages(name: str, form: Form) -> Form:
-    """A built-in questionnaire, given in English, in the languages of the package."""
+    """Translate a built-in questionnaire, given in English, into the languages of the package."""
     found = {code: language.forms[name] for code in SHIPPED if (language := shipped(code)) and name in language.forms}
 
     def text(english: Text, in_language: Callable[[FormWords], str]) -> Text:

@@ -29,7 +29,7 @@ Viewer = Literal["rerun", "video"]
 STRIP = 5
 """Number of pictures in the strip of a recording."""
 LISTED = 10
-"""Number of episodes listed of a dataset."""
+"""Number of listed episodes of a dataset."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def episodes_html(episodes: Episodes, title: str) -> str:
 
 
 def metrics_table_html(table: MetricsTable) -> str:
-    """Means and intervals of metrics as HTML."""
+    """Return the means and intervals of metrics as HTML."""
     head, *rows = table.to_rows()
     left_out = sum(map(len, table.left_out.values()))
     notes = [f"{left_out} episodes left out: print(table) says why"] if left_out else []

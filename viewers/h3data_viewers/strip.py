@@ -1,4 +1,4 @@
-"""Strips: the moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
+"""Strips: moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from h3data.replay.records import CameraTrack
 from h3data.replay.replay import Replay
 
 MOST = 8
-"""Largest number of moments in a strip; of more, the first and the last ones are shown."""
+"""Largest number of moments in a strip; if there are more, it has the first and the last ones."""
 MOVES_MPS, OVER_S = 0.2, 0.5
 """Speed above which an agent counts as moving, over the given time before and after."""
 PASSING_M = 4.0
-"""Distance that moving agents must come below to count as crossing [m]."""
+"""Distance below which moving agents count as crossing [m]."""
 COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
 """Colours of the agents' paths, by the number of the agent."""
 PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
@@ -35,7 +35,7 @@ SAID = {"pick": "picks", "place": "places"}
 
 @dataclass(frozen=True, kw_only=True)
 class KeyFrame:
-    """Event that a strip shows."""
+    """Event in a strip."""
 
     step: int
     text: str

@@ -22,7 +22,7 @@ CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 1
 belly."""
 
 ARM_JOINTS = ("shoulder", "elbow", "wrist")
-"""Joints of an arm that are turned where hands are led to places."""
+"""Joints of an arm that turn when its hand follows a given path."""
 
 
 def _shoulders(forward: float, hang: float, twist: float) -> Array:
@@ -59,7 +59,7 @@ CARRY_CLOSE = np.stack(
     ],
     axis=1,
 )
-"""Rotations of the arm joints where an arm holds something close to the body, [2, 4, 4]."""
+"""Rotations of the arm joints for holding something close to the body, [2, 4, 4]."""
 
 
 def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:

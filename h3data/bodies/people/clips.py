@@ -39,11 +39,12 @@ JOG_SPEED_MPS = 2.5
 """The speed of the social-navigation task (spec/habitat.md: 10 units)."""
 JOG_ABOVE_MPS = 2.0
 CLIP_FRAMES = 128
-"""Frames are interpolated linearly: planted feet creep less than 0.1 mm (measured over all bodies)."""
+"""Number of frames of a clip. Between them poses are interpolated linearly: planted feet creep less than 0.1 mm (all
+bodies)."""
 _FLAT = np.zeros((0, 2))
 """Heights of a floor that is level with the root."""
 TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""Body frame (+Z forward) to agent root frame (x forward)."""
+"""Rotation from the body frame (+Z forward) to the agent root frame (x forward)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +67,9 @@ class Clip:
     quats: Array
     """Local joint rotations xyzw, shape [F, 55, 4]; frame k is at phase k / F; the signs are continuous round the cycle."""
     pelvis: Array
-    """Pelvis joint relative to the root, shape [F, 3] [m]."""
+    """Position of the pelvis joint relative to the root, shape [F, 3] [m]."""
     ankle: Array
-    """Ankles in the body frame, shape [F, 2, 3] [m]; see `h3data.bodies.people.legs.Posture`."""
+    """Positions of the ankles in the body frame, shape [F, 2, 3] [m]; see `h3data.bodies.people.legs.Posture`."""
     foot: Array
     """Pitch, yaw and toe bend of the feet, shape [F, 2, 3] [deg]."""
 
@@ -81,7 +82,7 @@ class Clip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gaits:
-    """Walking gait of one body: its legs, and what was fitted to it (see `h3data.bodies.people.gait.PARAMETERS`)."""
+    """Walking gait of one body: its legs, and the parameters fitted to it (`h3data.bodies.people.gait.PARAMETERS`)."""
 
     legs: Legs
     height_m: float
@@ -127,7 +128,7 @@ class Gaits:
 
 
 def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
-    """Standing, the walks, the jog and the two stepping turns of a body, sampled for fast reading (30 ms)."""
+    """Return clips of a body, sampled for fast reading (30 ms): standing, the walks, the jog and the two stepping turns."""
     legs, phase = gaits.legs, np.arange(CLIP_FRAMES) / CLIP_FRAMES
     clips = [_clip("stand", legs, stand_posture(legs))]
     for speed in (*WALK_SPEEDS_MPS, JOG_SPEED_MPS):
@@ -185,7 +186,7 @@ def _clip(
 def pose_at_speed(
     gaits: Gaits, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame of moving at any speed [T] [m/s].
+    """Return local rotations [T, 55, 4] and pelvis places [T, 3], agent root frame, of moving at any speed [T] [m/s].
 
     ``phase`` [T], ``blend`` [T] and ``ground`` as in `sample_clips`.
     """
@@ -245,7 +246,7 @@ class ClipTable:
 
     @cached_property
     def arrays(self) -> ClipArrays:
-        """Arrays that `h3data.bodies.people.kernels.clips` takes."""
+        """Arrays for the kernels in `h3data.bodies.people.kernels.clips`."""
         from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(
@@ -278,7 +279,7 @@ def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
 def sample_clips(
     table: ClipTable, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+    """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
     ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
     ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see

@@ -1,4 +1,4 @@
-"""Foot-planted walking, jogging and turning: the feet are given, the legs follow by closed-form inverse kinematics.
+"""Foot-planted walking, jogging and turning: from given feet, the legs follow by closed-form inverse kinematics.
 
 During stance a foot pivots about its heel (toes up) or its ball (heel up, toes bent flat); the pivot rests on the floor,
 so nothing slides by construction. In swing the ankle flies along a Hermite curve with bumps. What is fitted per body and
@@ -34,7 +34,7 @@ class GaitStyle:
     pitch: tuple[tuple[float, float], ...]
     """Foot pitch over the cycle from heel strike: (phase, degrees, positive = toes up)."""
     loose: tuple[int, ...]
-    """Rows of ``pitch`` whose offsets are fitted."""
+    """Indices of the rows of ``pitch`` whose offsets are fitted."""
     yaw: float
     list: float
     sway_m: float
@@ -107,7 +107,7 @@ PARAMETERS = ("height", "cos2", "sin2", "cos4", "sin4", "shift", "lift", "lift_s
 
 
 def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
-    """Distance walked in a cycle [...] [m].
+    """Return the distance walked in a cycle [...] [m].
 
     A step is sqrt(WR 60 v), with the walk ratio WR = 0.0062 m per step/min at a leg length of 0.86 m (Sekiya et al.:
     0.0065).
@@ -123,7 +123,7 @@ def jog_stride(height_m: float, speed_mps: ArrayLike) -> Array:
 
 
 def amplitude(legs: Legs, stride_m: Array) -> Array:
-    """Slow gaits with short steps move less: scale of all angles, 1 for a step of 0.82 leg lengths."""
+    """Return the scale of all angles, 1 for a step of 0.82 leg lengths: slow gaits with short steps move less."""
     return np.minimum(1.0, stride_m / 2 / (0.82 * legs.length))
 
 
@@ -278,7 +278,7 @@ def _set_arm(quats: Array, side: str, sign: float, flexion: Array, elbow: Array,
 
 # --- standing and turning on the spot ----------------------------------------------------------------
 def stand_posture(legs: Legs, frames: int = 1) -> Posture:
-    """Standing: feet flat, knees hardly bent, arms hanging."""
+    """Return the standing posture: feet flat, knees hardly bent, arms hanging."""
     quats = np.tile([0.0, 0, 0, 1], (frames, JOINT_COUNT, 1))
     turn = rotation(X, 2.0)
     quats[:, 0] = quat_from_matrix(turn[None])
@@ -294,7 +294,10 @@ def stand_posture(legs: Legs, frames: int = 1) -> Posture:
 
 
 def turn_posture(legs: Legs, phase: Array, *, left: bool) -> Posture:
-    """Turning on the spot by small steps: the root turns by `TURN_PER_CYCLE_RAD` per cycle, feet on the floor do not."""
+    """Return the posture while turning on the spot by small steps.
+
+    The root turns by `TURN_PER_CYCLE_RAD` per cycle, the feet on the floor do not.
+    """
     stand = stand_posture(legs, len(phase))
     ankle, foot, pelvis = stand.ankle.copy(), stand.foot.copy(), stand.pelvis.copy()
     way = np.degrees(TURN_PER_CYCLE_RAD) * (1 if left else -1)

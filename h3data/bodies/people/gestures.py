@@ -101,7 +101,7 @@ NAMES = tuple(GESTURES)
 POLE = np.array([-0.35, -0.8, 0.45])
 """Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
-"""Distance below the shoulder above which no work lifts a wrist, in lengths of the arm."""
+"""Distance below the shoulder up to which work may lift a wrist, in lengths of the arm."""
 
 
 def _keys() -> tuple[Array, NDArray[np.int64], Array]:
@@ -121,7 +121,7 @@ _KEYS = _keys()
 
 
 def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLike) -> None:
-    """Adds gestures to poses of people who stand or sit, in place.
+    """Add gestures to poses of people who stand or sit, in place.
 
     Args:
         body: Their body.
@@ -154,7 +154,7 @@ ARMS = CARRY_JOINTS[:, 1:]
 
 
 def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) -> None:
-    """Leads the hands of poses of people who stand or walk, in place.
+    """Lead the hands of poses of people who stand or walk, in place.
 
     Args:
         body: Their body.
@@ -192,7 +192,7 @@ def lead_wrists(
     twist_deg: float,
     wrist_deg: float = 0.0,
 ) -> None:
-    """Leads the wrists of poses [T] to places, in place; those out of reach are approached.
+    """Lead the wrists of poses [T] to places, in place; those out of reach are approached.
 
     Args:
         body: Their body.

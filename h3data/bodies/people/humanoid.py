@@ -64,7 +64,7 @@ class SkinnedMesh:
 
     @cached_property
     def skin(self) -> Skin:
-        """The sparse skinning operators, built at first use (20 ms for the full mesh)."""
+        """Sparse skinning operators, built at first use (20 ms for the full mesh)."""
         mesh = self.mesh
         assert mesh.normals is not None
         return build_skin(mesh.vertices, mesh.normals, self.joints, self.weights, len(JOINT_NAMES))
@@ -85,7 +85,7 @@ class BodyCapsule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Humanoid:
-    """A person that can be posed, drawn and bumped into. Immutable: share it freely."""
+    """A person that can be posed, rendered and tested for collisions. Immutable: share it freely."""
 
     name: str
     height_m: float
@@ -112,21 +112,21 @@ class Humanoid:
     climbs_stairs: ClassVar[bool] = True
     """True: all people climb stairs, which not all robots do."""
     climbing_length_m: ClassVar[float] = 0.0
-    """Length over which the body pitches on stairs, as robots do: 0, as people stay upright [m]."""
+    """Length over which the body pitches on stairs, as robots do [m]: 0, as people stay upright."""
 
     @property
     def mesh(self) -> Mesh:
-        """The full mesh in the rest pose, body frame."""
+        """Full mesh in the rest pose, body frame."""
         return self.full.mesh
 
     @property
     def lod_mesh(self) -> Mesh:
-        """The light mesh in the rest pose, body frame."""
+        """Mesh of few vertices in the rest pose, body frame."""
         return self.lod.mesh
 
     @cached_property
     def clips(self) -> tuple[Clip, ...]:
-        """Standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
+        """Clips: standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
         return make_clips(self.gaits)
 
     @property
@@ -153,7 +153,7 @@ class Humanoid:
         return joints, start, end, np.array([c.radius for c in self.capsules])
 
     def clip_for_speed(self, speed_mps: float) -> int:
-        """Motion id of the clip that fits ``speed_mps``; 0 (standing) when there is hardly any."""
+        """Return the motion id of the clip that fits ``speed_mps``; 0 (standing) when there is hardly any."""
         return nearest_clip(self.clips, speed_mps)
 
     def clip_pose(
@@ -165,7 +165,7 @@ class Humanoid:
         arms: ArrayLike | None = None,
         ground: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+        """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is
         the clip. ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.people.arms`).
@@ -204,7 +204,7 @@ class Humanoid:
         return frames
 
     def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:
-        """World matrices [T, 55, 4, 4] of the joints in a free-form pose.
+        """Return the world matrices [T, 55, 4, 4] of the joints in a free-form pose.
 
         Args:
             root_pose: frames of the pelvis in the world [T, 7] (body axes: +Z forward).
@@ -218,7 +218,7 @@ class Humanoid:
         return frames
 
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
-        """World vertices, float32 [..., V, 3], for joint frames [..., 55, 4, 4].
+        """Return the world vertices, float32 [..., V, 3], for joint frames [..., 55, 4, 4].
 
         Leading axes are frames, worlds, or both. The computation is one sparse matrix product.
         """
@@ -229,24 +229,24 @@ class Humanoid:
         return apply_skin(skin.points, matrices)
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-        """`skin` for long recordings: frames [t] of [T, 55, 4, 4] and their vertices [t, V, 3], some at a time."""
+        """Yield slices of the frames [T, 55, 4, 4] and their vertices [t, V, 3]: `skin` for long recordings."""
         return skin_chunks((self.lod if lod else self.full).skin.points, joint_matrices @ self.inverse_bind)
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
-        """World shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
+        """Return the world shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
         part = self.lod if lod else self.full
         # blended normals are shorter than 1 where joints bend
         return normalized(apply_skin(part.skin.normals, joint_matrices @ self.inverse_bind)).astype(np.float32)
 
     def capsules_world(self, joint_matrices: Array) -> tuple[Array, Array, Array]:
-        """Segment starts [T, C, 3], ends [T, C, 3] and radii [C] [m] of the collision capsules."""
+        """Return the segment starts [T, C, 3], ends [T, C, 3] and radii [C] [m] of the collision capsules."""
         joints, start, end, radius = self._capsule_arrays
         frames = joint_matrices[:, joints]
         rotation, origin = frames[..., :3, :3], frames[..., :3, 3]
         return (rotation @ start[..., None])[..., 0] + origin, (rotation @ end[..., None])[..., 0] + origin, radius
 
     def bone_boxes_world(self, joint_matrices: Array) -> tuple[Array, Array]:
-        """Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
+        """Return Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
 
         A bone leads from a joint to each of its children; head, toes and fingertips have none of their own. Boxes are 2 cm
         thick and end before both joints, by 2 cm or 1/25 of the bone, whichever is less.

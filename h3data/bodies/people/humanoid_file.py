@@ -1,4 +1,4 @@
-"""Reading humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
+"""Reading of humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
 
 The built-in bodies share a base (``common.npz``) and a wardrobe (``wardrobe.npz``: skin, clothes and hair as patches over the
 base); a body's own file holds the places of its base as differences from the mean, its skeleton, look, collision capsules and
@@ -35,10 +35,10 @@ from h3data.mesh.mesh import Mesh
 FILE_FORMAT, COMMON_FORMAT = "h3data.humanoid/2", "h3data.humanoid-common/3"
 COMMON_FILE = "common.npz"
 VERTEX_UNIT_M = 1e-4
-"""Vertices are stored in whole tenths of a millimetre (int16: within 3.2 m of the origin)."""
+"""Unit of stored vertices: a tenth of a millimetre (int16: within 3.2 m of the origin)."""
 WEIGHT_UNIT = 1 / 255
 ADULTS = tuple(f"{kind}_{k}" for kind in ("female", "male", "neutral") for k in range(4))
-"""The bodies that ``any`` takes; children and older people are named."""
+"""Names of the bodies from which ``any`` samples; children and older people are used only by name."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -126,7 +126,7 @@ class _Common:
 
 @lru_cache(maxsize=1)
 def builtin_common() -> _Common:
-    """Arrays that all built-in bodies share, read once."""
+    """Return the arrays that all built-in bodies share, read once."""
     data = read_arrays(builtin_path(f"bodies/{COMMON_FILE}"), COMMON_FORMAT)
     return _Common(
         name=str(data["common"]),

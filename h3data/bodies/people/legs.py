@@ -1,4 +1,4 @@
-"""Legs: where the feet are is given, hips and knees follow by closed-form inverse kinematics.
+"""Legs of people: from the places of the feet, hips and knees follow by closed-form inverse kinematics.
 
 In the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
 """
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
 
 X, Y, Z = np.eye(3)
 SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
-"""Name, sign of x, phase of the heel strike."""
+"""Name, sign of x, and phase of the heel strike of each leg."""
 LEG_MAX = 0.9985
-"""A leg is never stretched further than this share of its length."""
+"""Largest stretch of a leg, as a share of its length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Legs:
-    """Measures of one body. Rows: left, right."""
+    """Measures of one body's legs. Rows: left, right."""
 
     hips: Array
-    """Hip joints from the pelvis joint, shape [2, 3] [m]."""
+    """Positions of the hip joints relative to the pelvis joint, shape [2, 3] [m]."""
     thigh: float
     shank: float
     ankle_height: float
     """Height of the ankle joint above the sole [m]."""
     feet: Array
-    """Heel, ball and toe tip from the ankle joint with the foot flat, shape [2, 3, 3] [m]. The ball is the toe joint itself:
-    toes held flat rest while the heel rises."""
+    """Positions of heel, ball and toe tip relative to the ankle with the foot flat, shape [2, 3, 3] [m]. The ball is
+    the toe joint itself: toes held flat rest while the heel rises."""
 
     @cached_property
     def measures(self) -> LegMeasures:
-        """Measures that `h3data.bodies.people.kernels.legs` takes."""
+        """Measures as an array, for the kernels in `h3data.bodies.people.kernels.legs`."""
         # at first use, so that bodies can be read without compiling anything
         from h3data.bodies.people.kernels.legs import LegMeasures
 
@@ -68,26 +68,26 @@ class Legs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posture:
-    """Input from which a pose is solved: everything but the legs, and the places of the feet."""
+    """Input from which a pose is solved: everything except the legs, and the places of the feet."""
 
     quats: Array
     """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""
     pelvis: Array
-    """Pelvis joint, shape [T, 3] [m]."""
+    """Position of the pelvis joint, shape [T, 3] [m]."""
     ankle: Array
-    """Ankle joints, shape [T, 2, 3] [m]."""
+    """Positions of the ankle joints, shape [T, 2, 3] [m]."""
     foot: Array
     """Pitch (toes up), yaw (to the left) and bend of the toe joint of each foot, shape [T, 2, 3] [deg]."""
 
 
 def rotation(axis: Array, angle_deg: ArrayLike) -> Array:
-    """Rotation matrices [..., 3, 3] about a fixed axis, angles [...] in degrees."""
+    """Return the rotation matrices [..., 3, 3] about a fixed axis, angles [...] in degrees."""
     return quat_to_matrix(quat_from_axis_angle(axis, np.radians(np.asarray(angle_deg, np.float64))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedLegs:
-    """Angles of solved legs, which the fit evaluates."""
+    """Angles of solved legs, which the fit of a gait evaluates."""
 
     quats: Array
     """All local rotations, shape [T, 55, 4]."""
@@ -100,7 +100,7 @@ class SolvedLegs:
 
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
-    """Two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
+    """Solve two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
     from h3data.bodies.people.kernels.legs import write_all_legs
 
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))

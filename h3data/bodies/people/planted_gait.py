@@ -1,4 +1,4 @@
-"""Walking with planted feet along any track of the root: `h3data.bodies.people.kernels.planted` with a body's own gaits.
+"""Walking with planted feet along any track of the root, by `h3data.bodies.people.kernels.planted` with a body's own gaits.
 
 `planted_states` goes through a track once; any of its moments can then be posed alone (`pose_planted`). A track is all that
 is needed, so recordings of people hold no more than their roots.
@@ -92,7 +92,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
 
 
 def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
-    """The gaits of a body whose feet keep out of the walls and furniture of a home, and stand on the treads of its stairs."""
+    """Return gaits of a body whose feet avoid the walls and furniture of a home, and stand on the treads of its stairs."""
     # contiguous float64, for which the kernels are compiled
     return tables._replace(
         sdf=np.ascontiguousarray(free.sdf, np.float64),
@@ -127,7 +127,7 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
 
 
 def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT) -> tuple[Array, Array]:
-    """Local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
+    """Return the local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
 
     The first joints alone take less time: 16 are legs, trunk and head, without which the kernel cannot do.
     """
@@ -139,7 +139,7 @@ def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT
 
 
 class PlantedWalk:
-    """The feet of a person whose root is decided step by step. They stand at first."""
+    """Planted feet of a person whose root moves step by step. They stand at first."""
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """``base`` [7] is the agent root."""
@@ -151,7 +151,7 @@ class PlantedWalk:
         self.stand(base)
 
     def stand(self, base: ArrayLike) -> None:
-        """Put both feet where they belong under a root [7]."""
+        """Place both feet as in standing under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
         _CALL(stand_one, self.tables, self.state, *_place(base))
@@ -178,7 +178,7 @@ class PlantedWalk:
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Return whether the root [7] is where the last step left it."""
+        """Return whether the root [7] is the one after the last step."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)
@@ -186,20 +186,20 @@ class PlantedWalk:
         return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
 
     def step(self, base: ArrayLike) -> None:
-        """Advance by 1/30 s, in which the root gets to ``base`` [7]."""
+        """Advance by 1/30 s, in which the root moves to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
         _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
-        """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
+        """Make the `step` to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
         _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
-        """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
+        """Return the local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
         from h3data.bodies.people.kernels.planted import pose_gaits
 
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))

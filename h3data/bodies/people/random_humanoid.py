@@ -1,4 +1,4 @@
-"""People by a number: a shape of their own in the space that all built-in bodies span, with clothes, skin and hair.
+"""People generated from a number, with a shape of their own within the space of all built-in bodies, clothes, skin and hair.
 
 ``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person as long
 as the built-in bodies and ``shape_space.toml`` stay as they are. All built-in bodies have one base and arrays that may be

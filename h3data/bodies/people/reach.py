@@ -1,4 +1,4 @@
-"""Reaching: where a person must be, and how they stand, so that a hand is at a point.
+"""Reaching: the place and the posture of a person in which a hand is at a point.
 
 One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and, mirrored,
 both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where they are. Every
@@ -42,16 +42,17 @@ STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture"
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
 """Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
+"""Rotation from the kernel's body frame (+Z forward, +X left) to the agent root frame."""
 ARM_RADIUS, INSET = 0.026, 0.02
 """Radius of forearm and hand for the clearance, as a share of the shoulder's height; share of the path inside the valid volume
 by which advice keeps away from its border."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
-"""The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
+"""Position of the grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out
+of the palm."""
 
 
 class BaseMotion(NamedTuple):
-    """A move of the agent root, in the frame that it has before."""
+    """Motion of the agent root, in the frame that it has before."""
 
     forward_m: float
     right_m: float
@@ -69,9 +70,9 @@ class ReachResult:
     """Result of reaching for one point."""
 
     status: ReachStatus
-    """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or
-    the point too near the shoulder); ``invalid_posture``: the hand gets there only by falling over, bending too far or
-    passing through the body."""
+    """Result of the search: ``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside,
+    but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets there only by
+    falling over, bending too far or passing through the body."""
     quats: Array
     """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
     pelvis: Array
@@ -100,11 +101,11 @@ class ReachPoses(NamedTuple):
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array
-    """Shape [T, M]; columns are named in `h3data.bodies.people.kernels.reach`."""
+    """Measures of each pose, shape [T, M]; columns are named in `h3data.bodies.people.kernels.reach`."""
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or the reason for failure.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.
@@ -151,7 +152,7 @@ def reach_poses(
 
 
 def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> Array:
-    """World places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
+    """Return the world places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
     frames = joint_matrices[:, JOINT_INDEX[f"{hand}_wrist"]]
     return frames[:, :3, :3] @ grasp_point(body, hand) + frames[:, :3, 3]
 
@@ -174,7 +175,7 @@ class Table(NamedTuple):
     """Solved postures of the right hand on a grid of targets, in units of the standing shoulder's height."""
 
     values: NDArray[np.float32]
-    """Shape [X, Y, Z, P], axes left, up, forward."""
+    """Values at the points of the table, shape [X, Y, Z, P], with axes left, up, forward."""
     low: Array
     step: Array
 
@@ -201,10 +202,10 @@ def reach_table() -> Table:
 
 
 class ReachSolver:
-    """Reaches with one hand of one body."""
+    """Solver of postures in which one hand of one body reaches points."""
 
     tried = 24
-    """Number of the nearest table points from which the nearest valid one is sought."""
+    """Number of the nearest table points among which the nearest valid one is searched."""
 
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
         self.table = reach_table() if table is None else table
@@ -246,7 +247,7 @@ class ReachSolver:
 
     @property
     def valid_points(self) -> Array:
-        """The table's points that this body reaches, shape [N, 3] [m]."""
+        """Points of the table that this body reaches, shape [N, 3] [m]."""
         if self._valid is None:
             points = self.table.points * self._mirror * self.body.scale
             # back to the agent root frame
@@ -260,7 +261,7 @@ class ReachSolver:
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
-        """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
+        """Return a valid point [3] near ``target``: from the nearest valid table points towards it, as far as all are valid."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
         starts = self.valid_points[np.argsort(gap)[: self.tried]]
@@ -326,7 +327,7 @@ def _shoulder(body: Humanoid) -> float:
 
 
 def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
-    """Measures of one body and hand, body frame."""
+    """Return the measures of one body and hand, in the body frame."""
     sign, other = (1.0, "right") if hand == "left" else (-1.0, "left")
     stand, frames = _standing(body)
     # the order is that of `ReachBody.joints`

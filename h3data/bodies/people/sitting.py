@@ -1,4 +1,4 @@
-"""Sitting down on a seat of any height, by what touches what: the soles stay on the floor, the seat carries the body.
+"""Sitting down on a seat of any height: the soles stay on the floor, and the seat carries the body.
 
 The pose on the seat follows from contact alone. The shanks stand, the skin of the hips touches the seat, and the hands lie on
 the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path between standing and
@@ -52,13 +52,13 @@ PATH_SINK_M, BUTTOCKS_M = 0.012, 0.03
 """Depth by which skin may be behind the front edge on the path [m]. Skin that is further ahead of the pelvis than `BUTTOCKS_M`
 does not carry: thighs that slope down would lift the body."""
 STEEPEST = 0.75
-"""Greatest slope of the thighs, as the share of their length by which hips and knees differ in height."""
+"""Greatest slope of the thighs: height difference of hips and knees as a share of the thigh's length."""
 ARMS_BY, EARLY = 0.6, 0.05
 """Share of the path at which the hands are on the thighs, because hanging ones would go through the seat; share over which a
 standing person's own pose is blended into the path."""
 TABLE = 61
-"""Poses between standing and sitting that are computed for one seat, and as many up to lying; between them they are
-interpolated."""
+"""Number of poses between standing and sitting that are computed for one seat, and the same number up to lying; others
+are interpolated."""
 TUCKED, TURNED, STRETCHED, RECLINES = 1.34, 1.64, 1.86, 1.72
 """Shares of the path, from 1 (sitting) to 2 (lying), at which the knees are drawn up, the person has turned, the legs are
 stretched, and the trunk begins to lie back."""
@@ -91,7 +91,7 @@ class Sitting:
     """Rotations [55, 4] and pelvis [3] on the seat, in the body frame."""
 
     def pose(self, share: ArrayLike) -> tuple[Array, Array]:
-        """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+        """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``share`` [T] leads from standing (0) to sitting (1).
         """
@@ -122,7 +122,7 @@ class Sitting:
 
     @cached_property
     def table(self) -> tuple[Array, Array]:
-        """`pose` at `TABLE` equal shares of the path."""
+        """Poses at `TABLE` equal shares of the path from standing (0) to sitting (1)."""
         return self.pose(np.linspace(0, 1, TABLE))
 
     @cached_property
@@ -162,7 +162,7 @@ class Sitting:
 
     @cached_property
     def lying_size(self) -> Array:
-        """Distances from the hips of somebody who lies to head, toes and sides [3] [m]."""
+        """Distances from the hips of a lying person to head, toes and sides [3] [m]."""
         skin = self.body.skin(self.body.joint_matrices(IDENTITY_POSE, *(part[-1:] for part in self.lying)))[0]
         ahead = skin[:, 0] - self.lying[1][-1, 0]
         return np.array([-ahead.min(), ahead.max(), np.abs(skin[:, 2]).max()])

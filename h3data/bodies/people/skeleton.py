@@ -1,4 +1,4 @@
-"""The one skeleton of all humanoids: 55 joints with SMPL-X names and order, so AMASS and Habitat motion apply by index.
+"""Skeleton of all humanoids: 55 joints with SMPL-X names and order, so AMASS and Habitat motion apply by index.
 
 Zero pose = T-pose with every joint frame aligned to the body frame (+Z forward, +Y up, +X left).
 """

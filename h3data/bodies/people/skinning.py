@@ -39,7 +39,7 @@ class Skin:
 
     @cached_property
     def frame(self) -> FrameOperator:
-        """``points`` for a single frame: its rows in groups with the same columns, built at first use."""
+        """Operator ``points`` for a single frame: its rows in groups with the same columns, built at first use."""
         groups: dict[bytes, list[int]] = {}
         starts: Any = self.points.indptr
         # the bytes of a row's columns as a key: vertices that move with the same joints have equal ones
@@ -63,7 +63,7 @@ class FrameOperator(NamedTuple):
     """
 
     rows: NDArray[np.int32]
-    """Row of the operator for each place here, shape [V]."""
+    """Row of the operator for each place in this order, shape [V]."""
     row_starts: NDArray[np.int32]
     """First place of each group, then V, shape [G + 1]."""
     columns: NDArray[np.int32]
@@ -137,7 +137,7 @@ def build_skin(
     weights: NDArray[np.float32],
     joint_count: int,
 ) -> Skin:
-    """The sparse operators of a mesh, from rest ``vertices`` and ``normals`` [V, 3], ``joints`` and ``weights`` [V, 4]."""
+    """Build the sparse operators of a mesh from rest ``vertices`` and ``normals`` [V, 3], ``joints`` and ``weights`` [V, 4]."""
     ones = np.ones((len(vertices), 1), np.float32)
     return Skin(
         points=_operator(np.concatenate([vertices, ones], 1), joints, weights, joint_count),
@@ -163,7 +163,7 @@ def _operator(
 
 
 def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
-    """Skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4, 4].
+    """Return skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4, 4].
 
     The leading axes are frames, or worlds and frames; all go through the same product, a chunk at a time. The memory is
     vertex-major within a chunk of one (`CHUNK_FRAMES`) and else frame-major.
@@ -180,7 +180,7 @@ def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
 
 
 def apply_skin_frames(operator: FrameOperator, matrices: Array) -> NDArray[np.float32]:
-    """Skinned points, float32 [T, V, 3], for bind-to-world ``matrices`` [T, J, 4, 4], frame by frame.
+    """Return the skinned points, float32 [T, V, 3], for bind-to-world ``matrices`` [T, J, 4, 4], frame by frame.
 
     They equal those of `apply_skin` to the bit; this is faster for up to `FEW_FRAMES` frames.
     """
@@ -194,7 +194,7 @@ def apply_skin_frames(operator: FrameOperator, matrices: Array) -> NDArray[np.fl
 
 
 def skin_chunks(operator: csr_array, matrices: Array) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-    """Skinned points of long recordings, in chunks.
+    """Yield skinned points of long recordings, in chunks.
 
     Yields slices of the rows of ``matrices`` [T, J, 4, 4] and their points [t, V, 3], which are views of vertex-major
     memory: copying them into place would take twice as long as computing them.

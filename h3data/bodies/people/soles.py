@@ -1,4 +1,4 @@
-"""Legs and soles of people: where their joints are, and the points of their feet that touch the floor."""
+"""Legs and soles of people: positions of their joints, and points of their feet that touch the floor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HIP, KNEE, ANKLE, TOE = range(4)
 
 
 def sole_points(body: Humanoid, frames: Array) -> Array:
-    """Heel, the point below the ball, and toe tip of both feet, [T, 2, 3, 3] [m], of `leg_frames`."""
+    """Return the heel, the point below the ball, and the toe tip of both feet, [T, 2, 3, 3] [m], from `leg_frames`."""
     legs = body.gaits.legs
     points = np.empty((len(frames), 2, 3, 3))
     for k in range(2):

@@ -52,7 +52,7 @@ def solve_ik(
     iterations: int = 60,
     restarts: int = 32,
 ) -> IkResult:
-    """Joint positions that bring a link to a target, starting from ``q0``.
+    """Compute joint positions that bring a link to a target, starting from ``q0``.
 
     Args:
         robot: The robot.

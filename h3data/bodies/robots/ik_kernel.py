@@ -1,4 +1,4 @@
-"""The compiled search behind `h3data.bodies.robots.ik`: one robot arm, many targets."""
+"""Compiled search behind `h3data.bodies.robots.ik`: one robot arm, many targets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from h3data.kernels import kernel, kernel_part
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
 """Damping at the start, and its limits, in the unit of the squared singular values of the Jacobian, to which it is added."""
 PATIENCE, GIVE_UP = 4, 1e-3
-"""A start is given up when a step takes away less than the share `GIVE_UP` of the error, `PATIENCE` times."""
+"""Rule for giving up: `PATIENCE` steps each reduced the error by less than the share `GIVE_UP`."""
 FREE_RANGE = math.pi
 """Greatest distance from 0 at which a joint without limits begins a new attempt."""
 

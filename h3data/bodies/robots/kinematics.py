@@ -99,7 +99,7 @@ def link_frames(
 
 
 def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tensor:
-    """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+    """Return the link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
 
     They have the device and precision of ``positions``.
 

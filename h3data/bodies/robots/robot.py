@@ -1,4 +1,4 @@
-"""Robots: links, joints, looks, shapes and cameras, and the poses of all of them (`h3data.bodies.load_robot` makes one).
+"""Robots: links, joints, appearance, shapes and cameras, and their poses (`h3data.bodies.load_robot` makes one).
 
 Link frames are URDF's. The agent root frame (x forward, y up, z right, on the floor) is turned into the URDF base frame
 (x forward, y left, z up) and lifted by ``base_height_m``.
@@ -74,22 +74,22 @@ class JointTargets(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A kinematic tree with looks, shapes and cameras. Immutable: share it freely."""
+    """A kinematic tree with appearance, shapes and cameras. Immutable: share it freely."""
 
     name: str
     file: Path
     """File of the robot's description, a URDF."""
     links: tuple[RobotLink, ...]
     joint_names: tuple[str, ...]
-    """The columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint has four
-    (``name.x`` to ``name.w``, a quaternion)."""
+    """Names of the columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint
+    has four (``name.x`` to ``name.w``, a quaternion)."""
     rest: Array
     """Joint positions of the resting posture, shape [J] [rad or m]."""
     lower: Array
     """Joint limits, shape [J]; infinite where there are none."""
     upper: Array
     joint_links: NDArray[np.int64]
-    """The link that each joint moves, shape [J]; those that follow it by mimic are not named."""
+    """Link that each joint moves, shape [J]; links that follow a joint by mimic are left out."""
     base_height_m: float
     """Height of the URDF base frame above the floor, feet down in the resting posture."""
     body_height_m: float
@@ -101,13 +101,14 @@ class Robot:
     base_radius_m: float
     """Radius of the base discs."""
     hull_discs: Array
-    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: others avoid these."""
+    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: other agents avoid
+    these."""
     max_speed_mps: float | None = None
     """Speed limit of the base [m/s]; None for the limit of the task."""
     max_turn_rad_s: float | None = None
     """Turn rate limit of the base [rad/s]; None for the limit of the task."""
     hand_link: int = -1
-    """The link that grasps; -1 = none."""
+    """Link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))
     """Position at which the hand holds things, in the frame of that link, shape [3] [m]."""
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
@@ -119,7 +120,7 @@ class Robot:
     """True if the robot walks up and down stairs; for other robots stairs are walls."""
     cameras: tuple[RobotCamera, ...]
     to_base: Array
-    """URDF base frame to agent root frame, 4x4."""
+    """Transform from the URDF base frame to the agent root frame, 4x4."""
     origins: NDArray[np.float64]
     """Joint frame in the parent link's frame for each link, shape [L, 4, 4]."""
     axes: NDArray[np.float64]
@@ -130,12 +131,13 @@ class Robot:
     columns: NDArray[np.int64]
     """Joint position that moves each link (the first of four for a quaternion), shape [L]; 0 where none does."""
     gains: NDArray[np.float64]
-    """A link moves by gain * position + offset (URDF mimic), shape [L]."""
+    """Factors by which links follow joint positions, shape [L]: a link moves by gain * position + offset (URDF
+    mimic)."""
     offsets: NDArray[np.float64]
 
     @cached_property
     def climbing_length_m(self) -> float:
-        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 of robots that do not climb."""
+        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 for robots that do not climb."""
         if not self.climbs_stairs:
             return 0.0
         if not self.legs:
@@ -151,16 +153,19 @@ class Robot:
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of all cameras, in the order of `cameras`; recordings and videos call them so."""
+        """Names of all cameras, in the order of `cameras`, as in recordings and videos."""
         return tuple(camera.name for camera in self.cameras)
 
     @cached_property
     def base_shapes(self) -> tuple[Cylinder, ...]:
-        """The base as the paper has it: upright cylinders over ``base_discs``, in the agent root frame."""
+        """Collision shapes of the base as in the paper: upright cylinders over ``base_discs``, in the agent root frame."""
         return self.base_cylinders()
 
     def base_cylinders(self, profile: str = "") -> tuple[Cylinder, ...]:
-        """Upright cylinders over the discs of a profile (``base_profiles``; empty = ``base_discs``), agent root frame."""
+        """Return upright cylinders over the discs of a profile, in the agent root frame.
+
+        The profile is one of ``base_profiles``; an empty name means ``base_discs``.
+        """
         if profile and profile not in self.base_profiles:
             known = ", ".join(self.base_profiles) or "none"
             raise InputError(f"Robot {self.name} has no base profile {profile!r}. It has: {known}.", code="H3-BODY-094")
@@ -186,7 +191,7 @@ class Robot:
         return tuple(sorted({int(self.columns[k]) + i for k in moving for i in range(4 if self.kinds[k] == 3 else 1)}))
 
     def require_arm(self) -> tuple[int, ...]:
-        """`arm_columns` of a robot that must have an arm.
+        """Return `arm_columns`; raise an error if the robot has no arm.
 
         Raises:
             InputError: It has no hand, or no joint moves it.
@@ -239,7 +244,7 @@ class Robot:
         return JointTargets(np.clip(wanted, self.lower, self.upper), (wanted < self.lower) | (wanted > self.upper))
 
     def link_matrices(self, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
-        """World matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
+        """Return the world matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
         from h3data.bodies.robots.kinematics import link_frames  # numba: robots can be read without it
 
         bases = np.asarray(base_pose, np.float64)
@@ -257,7 +262,7 @@ class Robot:
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
-        """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+        """Return the link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
 
         ``base`` are agent roots [*batch, 4, 4], ``joint_pos`` joint positions [*batch, J], whose device the result has.
         """

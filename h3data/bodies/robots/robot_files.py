@@ -21,15 +21,16 @@ class RobotReader(NamedTuple):
     """A reader of robots in files other than URDF."""
 
     read: Callable[[Path], Urdf]
-    """Reads the robot of a file."""
+    """Function that reads the robot of a file."""
     files: Callable[[Path], Sequence[Path]]
-    """All files that the robot consists of, the given one first."""
+    """Function that returns all files that make up the robot, the given one first."""
 
 
 READERS: Registry[RobotReader] = Registry("h3data.robot_files", {}, what="reader of robots")
 """Readers of files other than URDF by suffix without its dot."""
 GUESSES: Registry[Callable[..., RobotSettings]] = Registry("h3data.robot_guesses", {}, what="guess at a robot's")
-"""Makers of the settings of robots that come without any, from the robot as loaded and the names of links with true shapes."""
+"""Functions that make settings of robots that have none, from the loaded robot and the names of links with true
+shapes."""
 DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
 """Endings of descriptions of robots: URDF, and MJCF, which h3data_worlds reads."""
 
@@ -72,7 +73,7 @@ def robot_names() -> tuple[str, ...]:
 
 
 def is_built_in(name: str | Path) -> bool:
-    """Return whether a robot comes with this package, so that its name alone says which it is."""
+    """Return whether a robot is included in this package, so that its name alone identifies it."""
     return str(name) in _built_in()
 
 
@@ -86,7 +87,7 @@ def is_robot(name_or_path: str | Path) -> bool:
 
 
 def is_robot_file(path: str | Path) -> bool:
-    """Return whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
+    """Return whether a path names a robot: a ``.urdf``, a ``robot.toml``, or a folder that contains either."""
     path = Path(path)
     if path.suffix.lower() in DESCRIPTIONS or path.name == SETTINGS_NAME:
         return True

@@ -1,4 +1,4 @@
-"""Robots from files: a URDF with meshes or MJCF, with a small ``robot.toml`` for what URDF has no place for."""
+"""Robots from files: a URDF with meshes or MJCF, with a small ``robot.toml`` for data that URDF cannot hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of a robot that a URDF has no place for, in ``robot.toml``: posture, base profiles, hand, legs, cameras."""
+"""Settings of a robot that URDF cannot hold, in ``robot.toml``: posture, base profiles, hand, legs, cameras."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """A ``[[legs]]`` table: a leg that can step."""
 
     joints: tuple[str, str, str]
-    """Hip roll (about x), hip pitch and knee (about y)."""
+    """Names of the joints: hip roll (about x), hip pitch and knee (about y)."""
     foot: tuple[float, float, float]
     """Middle of the foot in the frame of the link that the knee moves [m]."""
 
@@ -77,7 +77,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def decode_settings(path: Path) -> RobotSettings:
-    """Read a ``robot.toml`` by itself, without its URDF; once until it changes.
+    """Read a ``robot.toml`` by itself, without its URDF; once until the file changes.
 
     Raises:
         FormatError: A field is unknown, of another type, or not finite; the message names it.

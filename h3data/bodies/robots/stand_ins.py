@@ -1,4 +1,4 @@
-"""Boxes that stand in for meshes of a robot that are missing, so that a URDF by itself can be played and shown.
+"""Boxes that replace missing meshes of a robot, so that a URDF by itself can be played and rendered.
 
 A link's own collision shapes stand in for its visuals and the other way round. A link that has neither gets a box from its
 origin to the joints of its children, at least as large as the box with its mass and moments of inertia.

@@ -35,8 +35,8 @@ class TrotSpec:
     least_stride_m: float = 0.28
     """Shortest stride, of a robot that hardly moves [m]."""
     stride_steps: float = 6.0
-    """A stride is 0.2 m and what is covered in this many steps, up to `stride_m` at 2.5 m/s. With equal strides at all
-    speeds, legs that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
+    """Number of steps whose distance, with 0.2 m, makes a stride, up to `stride_m` at 2.5 m/s. With equal strides at
+    all speeds, legs that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
     stride_offset_m: float = 0.2
     """Length of a stride at speed 0, before it is clipped [m]."""
     smooth_steps: int = 9
@@ -46,19 +46,21 @@ class TrotSpec:
     lift_m: float = 0.05
     """Height to which a swinging foot is lifted; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
     tuck: float = 0.7
-    """A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24
-    episodes, hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
+    """Largest share of its distance by which a swinging foot is drawn towards its place at rest, half-way. In 24
+    episodes, hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this
+    value."""
     settle_steps: int = 4
     """Number of steps after a stop within which all feet are on the floor."""
     settle_m: float = 0.05
-    """Feet are lifted fully where the base covers at least this distance in the steps around."""
+    """Distance covered in the steps around from which on feet are lifted fully [m]."""
     nose_clear_m: float = 0.02
     """Height at which a foot passes over the noses of steps [m]."""
     over_share: float = 0.25
-    """Share of a swing, at its beginning and at its end, in which the foot has not yet, or no longer, this height."""
+    """Share of a swing, at its beginning and at its end, in which the foot is below `nose_clear_m`."""
     lean_share: float = 0.5
-    """Share of the way from below the root to below the hips by which feet under a pitched base are moved. With all of it
-    the lower legs of `quad_arm` were too short for the steps below, with none the upper ones were folded flat."""
+    """Share of the distance from below the root to below the hips by which feet under a pitched base are moved. With
+    all of it the lower legs of `quad_arm` were too short for the steps below, with none the upper ones were folded
+    flat."""
     jump_m: float = 0.5
     """Distance of a step beyond which the base was moved from outside, so that the trot begins anew [m]."""
     max_stretch: float = 0.999
@@ -75,7 +77,7 @@ def trot(
     *,
     heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
-    """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
+    """Return joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
 
     Args:
         robot: A robot; one without legs gets its joint positions back.
@@ -199,7 +201,7 @@ def _feet(
 
 
 def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float64]:
-    """Hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
+    """Return the hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
 
     Closed form: the roll turns the plane of the leg through the point, two sides of a triangle do the rest. Points out of
     reach are approached along the line from the hip, angles end at their limits.

@@ -48,14 +48,14 @@ class UrdfLink:
     visuals: tuple[UrdfPart, ...]
     collisions: tuple[UrdfPart, ...]
     inertial: Array
-    """Centre-of-mass frame to link frame, shape [4, 4]; identity if the file gives none."""
+    """Transform from the centre-of-mass frame to the link frame, shape [4, 4]; identity if the file gives none."""
     inertia_box: Array | None = None
-    """Half the sides [3] [m] of a box of the same mass and moments of inertia in that frame; None if the file gives none."""
+    """Half the sides [3] [m] of a box with the link's mass and moments of inertia; None if the file gives none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfMimic:
-    """Position = ``multiplier`` * position of ``joint`` + ``offset``. ``joint`` is one that mimics nothing itself."""
+    """Rule of a joint that follows another: position = ``multiplier`` * position of ``joint`` + ``offset``."""
 
     joint: str
     multiplier: float = 1.0
@@ -71,7 +71,8 @@ class UrdfJoint:
     parent: str
     child: str
     origin: Array
-    """Joint frame (= the child's link frame at position 0) to parent link frame, shape [4, 4]."""
+    """Transform from the joint frame (= the child's link frame at position 0) to the parent link frame, shape [4,
+    4]."""
     axis: Array
     """Unit vector in the joint frame, shape [3]."""
     lower: float
@@ -96,13 +97,13 @@ class Urdf:
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
-    """Resting positions of joints [rad or m], if the file gives any. URDF files cannot."""
+    """Resting positions of joints [rad or m]; empty for URDF files, which cannot state them."""
     has_posture: bool = False
     """True if the joint positions are a posture in which the robot's maker wants it to rest, arms included."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
-        """The joints that have a position of their own (neither fixed nor mimic), in the order of the file."""
+        """Joints that have a position of their own (neither fixed nor mimic), in the order of the file."""
         return tuple(j for j in self.joints if j.kind != "fixed" and j.mimic is None)
 
 

@@ -21,10 +21,10 @@ from h3data.mesh.mesh import Mesh
 
 PLANE_SIDE_M, PLANE_THICKNESS_M = 30.0, 0.1
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
-"""Kinds of files that a URDF may name; nothing else is ever opened for it."""
+"""Suffixes of mesh files that a URDF may name; no other file is ever opened for it."""
 MAX_PATH, MAX_LEVELS = 1024, 7
-"""Largest number of characters of a file's path, and of folders, that of the URDF and those above it, in which packages are
-looked for."""
+"""Largest number of characters of a file's path, and largest number of folders above the URDF in which packages are
+searched."""
 
 
 @dataclass
@@ -34,7 +34,7 @@ class UrdfIssues:
     faults: list[str] = field(default_factory=list)
     """Reasons to refuse the file."""
     warnings: list[str] = field(default_factory=list)
-    """Deviations that have one usual reading, which was taken."""
+    """Deviations from the standard that have one usual reading, which was taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class UrdfPart:
 
     geometry: UrdfGeometry
     origin: Array
-    """Geometry to link frame, shape [4, 4]."""
+    """Transform from the geometry to the link frame, shape [4, 4]."""
     color: tuple[int, int, int] | None = None
     """Colour (sRGB) of the material, if it has one."""
 
@@ -129,7 +129,7 @@ def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | N
 
 
 def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple[int, int, int] | None:
-    """Colour of a ``<color>`` element as (red, green, blue) of 0..255; None without an element."""
+    """Return the colour of a ``<color>`` element as (red, green, blue) of 0..255; None without an element."""
     if element is None:
         return None
     text = element.get("rgba")

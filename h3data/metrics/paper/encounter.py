@@ -1,4 +1,4 @@
-"""Robot and person, row by row: distance, facing, found, backing up, yielding, as the paper counts them.
+"""Robot and person, row by row, by the paper's rules: distance, facing, found, backing up, yielding.
 
 The one definition of "found" for the paper's metrics and whatever follows it; habitat-lab's own is in
 `h3data_habitat.metrics.stats`.
@@ -28,7 +28,8 @@ class Thresholds:
     far_m: float = 2.0
     """Largest distance of finding and following [m], inclusive."""
     facing: float = 0.5
-    """The robot faces the human if forward . unit(robot -> human) on the floor is greater."""
+    """Cosine on the floor between the robot's forward axis and the direction to the human, above which the robot faces
+    them."""
     avoid_m: float = 1.5
     """Distance (L2) below which backing up and yielding count [m]."""
     yield_m_s: float = 0.1
@@ -40,7 +41,7 @@ class Thresholds:
 PAPER = Thresholds()
 
 MANY_ROWS = 3_000_000
-"""Number of rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
+"""Number of rows in one process from which on it pays to import numba: 2,000 episodes of the paper's length."""
 _measured_rows = 0
 
 

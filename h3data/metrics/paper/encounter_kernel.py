@@ -1,4 +1,4 @@
-"""`encounter_series` by a kernel, for many rows: a tenth of NumPy's time, and equal to the last bit."""
+"""Kernel for `encounter_series` of many rows: a tenth of NumPy's time, and equal to the last bit."""
 
 # Eight rows at a time as LLVM vectors: their poses are transposed in registers, and what the next rows need of the last one
 # stays there. Loops over blocks of rows that LLVM vectorises itself take one and a half times as long, since they have to put

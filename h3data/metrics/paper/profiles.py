@@ -1,4 +1,4 @@
-"""The profile ``paper``: the published metrics of social navigation and of social rearrangement, and how reports show them."""
+"""Profile ``paper``: the published metrics of social navigation and of social rearrangement, and their report."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ SOCIAL_NAV_PROTOCOL: Mapping[str, Any] = {
     "robot.disc_offsets_m": (0.0, 0.225),
     **_PACE,
 }
-"""The paper's rules of social navigation (section 4, appendix), under their names in ``info["spec"]``."""
+"""Rules of social navigation in the paper (section 4, appendix), by the names in ``info["spec"]``."""
 REARRANGEMENT_PROTOCOL: Mapping[str, Any] = {
     "max_steps": 750,
     "objects": 2,
@@ -29,7 +29,7 @@ REARRANGEMENT_PROTOCOL: Mapping[str, Any] = {
     "end_on_collision": True,
     **_PACE,
 }
-"""The paper's rules of social rearrangement."""
+"""Rules of social rearrangement in the paper."""
 
 
 def protocol_deviations(recording: Recording, protocol: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Results of Habitat 3.0 as its tables print them, from ``published.toml`` in this folder."""
+"""Published results of Habitat 3.0, from ``published.toml`` in this folder."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class PublishedResults:
     social_nav: PublishedTable
     rearrange: PublishedTable
     hitl: PublishedTable
-    """Study with people in the loop."""
+    """Results of the human-in-the-loop study."""
     contrasts: PublishedContrasts
-    """Pairwise differences of task steps in that study."""
+    """Pairwise differences of task steps in the human-in-the-loop study."""
 
 
 @cache

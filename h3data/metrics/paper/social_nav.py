@@ -1,4 +1,4 @@
-"""Computes the paper's social navigation metrics of recordings: S, SPS, F, CR, BYR, TD, FD.
+"""Computation of the paper's social navigation metrics: S, SPS, F, CR, BYR, TD, FD.
 
 Formulas, sources and interpretations: `h3data.metrics.paper.social_nav_definitions`. What a recording cannot tell is NaN,
 and a note says why; nothing is guessed, and nothing undefined becomes 0.

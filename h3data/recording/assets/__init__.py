@@ -1,1 +1,1 @@
-"""Assets of recordings: their names, the meshes that these mean, and placeholders for missing ones."""
+"""Assets of recordings: their names, the corresponding meshes, and placeholders for missing ones."""

@@ -1,4 +1,4 @@
-"""Files that recordings and configs name, looked up below the user's asset folders."""
+"""Files that recordings and configs refer to, searched below the user's asset folders."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class AssetFolders:
         self._resolved: dict[str, Path | None] = {}
 
     def resolve(self, uri: str) -> Path | None:
-        """Return the file that a recorded path means, or None.
+        """Return the file of a recorded path, or None.
 
         Tried in this order: the path below each root, the same with the known aliases of its folder, then the file
         below a root that shares the longest end of the path. A shared file name alone is not enough (every YCB object

@@ -1,4 +1,4 @@
-"""Handles of Habitat's objects, ``chair_:0000``: an instance of the template ``chair``, whose config or mesh lies somewhere."""
+"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be anywhere."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from h3data.errors import SceneError
 
 HANDLE = "handle:"
-"""Begins the uri of an asset that is known by its template's name only."""
+"""Beginning of the uri of an asset of which only the name of the template is known."""
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:

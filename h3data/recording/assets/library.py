@@ -1,4 +1,4 @@
-"""Recorded file names to meshes: looked up below the user's folders, generated, or taken from a scene."""
+"""Meshes for recorded file names: found below the user's folders, generated, or taken from a scene."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from h3data.scene.sources import object_mesh
 OWN_FOLDER_ENDING = ".assets"
 """Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
 EMPTY_URI = "primitive:empty"
-"""An instance that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
+"""Uri of instances that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
 
 
 class AssetLibrary:
-    """Finds meshes for the assets of a recording.
+    """Library of meshes for the assets of a recording.
 
     ``roots`` are as in `AssetFolders`, or one that was made already.
     What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
@@ -53,7 +53,7 @@ class AssetLibrary:
         return f"AssetLibrary({len(self.roots)} roots{scene}, {len(self.missing)} missing)"
 
     def with_scene(self, scene: Scene) -> AssetLibrary:
-        """Return a library with the same roots and a scene that answers ``scene:<asset>``."""
+        """Return a library with the same roots and a scene for uris ``scene:<asset>``."""
         return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
 
     def with_own_folder(self, recorded: object) -> AssetLibrary:
@@ -68,11 +68,11 @@ class AssetLibrary:
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """Folders in which assets are looked up."""
+        """Folders in which assets are searched."""
         return self.folders.roots
 
     def resolve(self, uri: str) -> Path | None:
-        """Return the file that a recorded path means, or None; see `AssetFolders.resolve`."""
+        """Return the file of a recorded path, or None; see `AssetFolders.resolve`."""
         return self.folders.resolve(uri) or self._beside(uri)
 
     def mesh(self, ref: AssetRef) -> Mesh | None:

@@ -1,4 +1,4 @@
-"""Stand-ins for assets that are not on this machine: striped, so that nobody takes them for the real thing."""
+"""Placeholders for assets that are not on this machine: striped, so that nobody mistakes them for the real ones."""
 
 from __future__ import annotations
 

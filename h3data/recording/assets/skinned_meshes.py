@@ -1,4 +1,4 @@
-"""Skinned meshes of glTF files, posed by the bones that a recording holds, as habitat-sim draws them."""
+"""Skinned meshes of glTF files, posed by recorded bones as in habitat-sim."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class SkinnedMesh:
     """The mesh of a file with its skin."""
 
     mesh: Mesh
-    """Rest shape in our frame, as `load_mesh` gives it."""
+    """Rest shape in h3data's frame, as `load_mesh` returns it."""
     points: csr_array
     """Skinning operator over `joint_names` and one more, for parts without a skin (`h3data.bodies.people.skinning`)."""
     joint_names: tuple[str, ...]
     inverse_bind: Array
     """Inverse bind matrix of each joint, shape [J, 4, 4]."""
     to_metres: Array
-    """File frame to ours, 4x4."""
+    """Transform from the file's frame to h3data's, 4x4."""
 
     def vertices(self, root: Array, bones: Array, names: Sequence[str]) -> NDArray[np.float32]:
-        """World vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
+        """Return world vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
 
         ``names`` says which joint each bone moves; a joint without a bone follows the root. Bones are world frames
         without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, F turning the file's axes

@@ -1,4 +1,4 @@
-"""The chunks of a finished recording, each with everything that was known at its end."""
+"""Chunks of a finished recording, each with everything that was known at its end."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
 CHUNK_S, WORTH_BYTES = 10.0, 20
-"""Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part; saving per
-row [bytes] that is worth a longer chunk: 62 for a looping clip, 0 to 18 in our simulations."""
+"""Longest chunk [s of the episode], which is what a truncated or damaged file loses besides the missing part; and
+saving per row [bytes] from which on a longer chunk pays: 62 for a looping clip, 0 to 18 in simulations."""
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
@@ -55,7 +55,7 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
 
 
 class CutRecording:
-    """Events, inputs and skills of a recording, handed out as its steps are written.
+    """Events, inputs and skills of a recording, returned step by step as it is written.
 
     Everything is handed out in its recorded order, which need not be that of time; the last chunk takes what is left.
     """
@@ -67,14 +67,14 @@ class CutRecording:
         self._open = dict(enumerate(recording.skills))
 
     def events(self, stop: int) -> Iterator[Event]:
-        """Events before step ``stop`` that were not handed out yet."""
+        """Yield the events before step ``stop`` that were not returned yet."""
         events = self._recording.events
         while self._events < len(events) and (stop == len(self._times) or events[self._events].step < stop):
             self._events += 1
             yield events[self._events - 1]
 
     def inputs(self, stop: int) -> Iterator[InputEvent]:
-        """Inputs up to the time of step ``stop - 1`` that were not handed out yet."""
+        """Yield the inputs up to the time of step ``stop - 1`` that were not returned yet."""
         inputs = self._recording.inputs
         last = stop == len(self._times)
         while self._inputs < len(inputs) and (last or inputs[self._inputs].time_ns <= self._times[stop - 1]):

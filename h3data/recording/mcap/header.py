@@ -51,7 +51,7 @@ def episode_metadata(episode: Episode) -> dict[str, str]:
 
 
 def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
-    """Return a serialised message of `struct_descriptor`; an `InputError` if it cannot hold a value."""
+    """Return a serialised message of `struct_descriptor`; raise an `InputError` if it cannot hold a value."""
     try:
         return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
     except (ValueError, TypeError, OverflowError) as error:

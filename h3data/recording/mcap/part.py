@@ -1,4 +1,4 @@
-"""A file that is called ``<name>.part`` until it is complete and synced to the disk."""
+"""File that is named ``<name>.part`` until it is complete and synced to the disk."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Backlog:
         self._file.flush()
 
     def fileno(self) -> int:
-        """File descriptor of the underlying file."""
+        """Return the file descriptor of the underlying file."""
         return self._file.fileno()
 
     def close(self) -> None:

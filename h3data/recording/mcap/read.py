@@ -82,7 +82,7 @@ def load(path: AnyPath) -> bytes:
 
 
 def check_kind(log: McapRecords, path: AnyPath) -> None:
-    """Raise a `FormatError` unless the records are those of an h3data log of a version we read."""
+    """Raise a `FormatError` unless the records are those of an h3data log of a supported version."""
     if not log.readable_bytes:
         raise FormatError(
             f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}", code="H3-RECORDING-019"
@@ -108,7 +108,7 @@ def lacks_records(log: McapRecords) -> bool:
 
 
 def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
-    """`reconstruct` from a whole log; a `FormatError` if its topics cannot be read."""
+    """Reconstruct a whole log as `reconstruct` does; raise a `FormatError` if its topics cannot be read."""
     try:
         reconstruct(log, path)
     except (KeyError, *decoding_errors()) as error:
@@ -118,7 +118,7 @@ def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
 def reconstruct(
     log: McapRecords, path: AnyPath, *, steps: int | None = None, first: Sequence[memoryview] | None = None
 ) -> None:
-    """Add the metadata records, as far as the topics tell them: columns, number of steps, and time between steps.
+    """Add the metadata records, as far as the topics determine them: columns, number of steps, and time between steps.
 
     Task, scene, seed and settings are lost; ``info["recovered"]`` says so. ``steps`` and ``first`` are the number of messages
     on ``/h3/state`` and the first two of them, taken from the log if None.

@@ -1,4 +1,4 @@
-"""Saves the readable part of a log that was cut off, damaged or never finished."""
+"""Recovery of the readable part of a log that was truncated, damaged or never finished."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Recovery:
     bytes_read: int
     bytes_total: int
     reason: str
-    """Reason why the whole original could not be read."""
+    """Reason why the original could not be read as a whole."""
 
 
 def recover_mcap(

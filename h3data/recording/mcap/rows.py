@@ -22,7 +22,7 @@ def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
 
 
 class PendingRows:
-    """Rows of one log, held until `take` returns them."""
+    """Buffered rows of one log, until `take` returns them."""
 
     def __init__(self, layout: Layout) -> None:
         self.steps = 0
@@ -58,7 +58,7 @@ class PendingRows:
         return rows
 
     def time_of(self, step: int) -> int:
-        """``time_ns`` of an added row; of the nearest one for any other step."""
+        """Return ``time_ns`` of an added row; for any other step, that of the nearest row."""
         step = min(step, self.steps - 1)
         if step >= self.taken:
             return self._last_time or 0  # at most one flush interval off

@@ -42,7 +42,7 @@ class McapRecords:
     fault: str | None = None
 
     def channel_of(self, topic: str) -> int | None:
-        """Return the id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
+        """Return the id of the channel with a topic, None if there is none; raise a `FormatError` if several carry messages."""
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:
@@ -51,7 +51,7 @@ class McapRecords:
 
 
 def decoding_errors() -> tuple[type[Exception], ...]:
-    """Exceptions that mcap, zstd and protobuf raise on damaged bytes."""
+    """Return the exceptions that mcap, zstd and protobuf raise on damaged bytes."""
     import zstandard
     from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
@@ -149,7 +149,7 @@ def take(log: McapRecords, opcode: int, body: memoryview) -> None:
 
 
 def decompress(body: memoryview) -> bytes:
-    """Decompressed records of a chunk; a `ValueError` if its checksum does not match."""
+    """Return the decompressed records of a chunk; raise a `ValueError` if its checksum does not match."""
     import zstandard
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk

@@ -11,7 +11,7 @@ from h3data.recording.file_store import FileStore
 from h3data.recording.storage import AnyPath
 
 RECORD = "h3.files"
-"""Metadata record of a log: the names of its shared attachments, each with the name of its file."""
+"""Name of the metadata record of a log that lists its shared attachments, each with the name of its file."""
 _BELOW = Path("h3") / "files"
 _LEVELS = 8
 _RESTORE = (

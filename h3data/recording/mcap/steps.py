@@ -37,10 +37,10 @@ _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
-    """The steps of a log; the chunks decompressed last are kept."""
+    """Steps of a log; the most recently decompressed chunks are cached."""
 
     once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
-    """Topics whose messages do not come once per step."""
+    """Topics whose messages are written once and not at every step."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
@@ -119,7 +119,7 @@ class McapSteps(Steps):
 
     # --- private ---
     def _reported(self, read: Callable[[], _T], what: str) -> _T:
-        """Return the result of ``read``; a `FormatError` if the bytes it meets are damaged."""
+        """Return the result of ``read``; raise a `FormatError` if the bytes it meets are damaged."""
         try:
             return read()
         except FormatError as error:
@@ -184,7 +184,7 @@ class McapSteps(Steps):
         check_kind(log, self.path)
 
     def _reconstruct(self) -> None:
-        """Add the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
+        """Add the metadata records that another program has left out; raise a `FormatError` if there are some out of reach."""
         if self._metadata_records != 0:
             raise FormatError(
                 "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that.",
@@ -254,7 +254,7 @@ class McapSteps(Steps):
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Opcode and body of consecutive records; an `EOFError` if the last is cut off."""
+    """Opcode and body of consecutive records; raise an `EOFError` if the last is cut off."""
     position = 0
     while position < len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, position)

@@ -62,17 +62,17 @@ class WireField:
 
     @property
     def wire_dtype(self) -> np.dtype[Any]:
-        """Type of the field's numbers as they lie in the message."""
+        """Type of the field's numbers in the message."""
         return np.dtype("u1" if self._as_bytes else _WIRE[self.column.dtype][1])
 
     @property
     def size(self) -> int:
-        """Bytes of the values in one message, without tag and length."""
+        """Size of the values in one message, without tag and length [bytes]."""
         return self.column.width * self.wire_dtype.itemsize
 
     @property
     def head(self) -> bytes:
-        """Tag and, for lists, length."""
+        """Bytes before the values: tag and, for lists, length."""
         if self.column.shape:
             return varint(self.number << 3 | _BYTES) + varint(self.size)
         return varint(self.number << 3 | _WIRE[self.column.dtype][2])
@@ -87,7 +87,7 @@ WireLayout = tuple[WireField, ...]
 
 
 def varint(value: int) -> bytes:
-    """Protobuf's variable-length encoding of a non-negative integer."""
+    """Encode a non-negative integer with Protobuf's variable length."""
     out = bytearray()
     while value > 127:
         out.append(value & 127 | 128)
@@ -166,7 +166,7 @@ def decode_messages(
     descriptor: bytes,
     message: str,
 ) -> dict[str, NDArray[Any]]:
-    """Columns (and the row numbers under ``""``) of the messages of one topic; only the ``wanted`` columns if given.
+    """Decode the messages of one topic into columns, and the row numbers under ``""``; only ``wanted`` columns if given.
 
     One `np.frombuffer` if every message has the length and the tags that the layout implies, else one protobuf object
     per message.
@@ -214,7 +214,7 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
 
 
 def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
-    """Return values in the dtype of their column; a `FormatError` if they do not fit."""
+    """Return values in the dtype of their column; raise a `FormatError` if they do not fit."""
     narrow = values.astype(field.column.dtype, copy=False)
     # protobuf has no integers of 8 and 16 bits, so another writer may have sent larger numbers
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):
@@ -224,7 +224,7 @@ def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
 
 # --- channel metadata -------------------------------------------------------------------------------------------------
 def fields_to_metadata(fields: WireLayout) -> dict[str, str]:
-    """Channel metadata that restore the exact columns: layout, field names and numbers."""
+    """Return channel metadata that restore the exact columns: layout, field names and numbers."""
     column_fields = [f for f in fields if f.column is not STEP]
     return {
         "h3.columns": layout_to_json(tuple(f.column for f in column_fields)),
@@ -247,14 +247,14 @@ def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayo
 
 # --- descriptors ------------------------------------------------------------------------------------------------------
 def step_descriptor(message: str, fields: WireLayout) -> bytes:
-    """Serialised FileDescriptorSet of one per-step message, e.g. ``State`` in package ``h3``."""
+    """Return the serialised FileDescriptorSet of one per-step message, such as ``State`` in package ``h3``."""
     signatures = [(f.name, f.number, f.proto_type, f.repeated) for f in fields]
     return _descriptor_set(f"h3/{message.lower()}.proto", {message: signatures})
 
 
 @lru_cache(maxsize=1)  # made for every message, it was 8% of the CPU of a session's step
 def struct_descriptor() -> bytes:
-    """Serialised FileDescriptorSet of ``h3.Scene``, ``h3.Event``, ``h3.Skill``, ``h3.Input`` and their parts."""
+    """Return the serialised FileDescriptorSet of ``h3.Scene``, ``h3.Event``, ``h3.Skill``, ``h3.Input`` and their parts."""
     messages = {
         struct: [(name, k + 1, kind.rstrip("*"), kind.endswith("*")) for k, (name, kind) in enumerate(fields.items())]
         for struct, fields in STRUCTS.items()

@@ -79,7 +79,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return the table with its columns cast to the types of ``schema``; columns of either that the other lacks are left alone.
+    """Return the table with its columns cast to the types of ``schema``; columns that only one has stay as they are.
 
     Raises:
         ValueError: a column of the schema has nulls.

@@ -1,4 +1,4 @@
-"""Parquet datasets as recordings, columns and tables of episodes; columns that nobody asked for are not read."""
+"""Parquet datasets as recordings, columns and tables of episodes; only requested columns are read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Dataset(DatasetFolder):
-    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
+    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is active."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
@@ -74,7 +74,10 @@ class Dataset(DatasetFolder):
         )
 
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
-        """Filters as `Episodes.filter`: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda f: f["length"] > 300)``."""
+        """Return the episodes that match, as `Episodes.filter` does.
+
+        Examples: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda f: f["length"] > 300)``.
+        """
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
@@ -88,7 +91,7 @@ class Dataset(DatasetFolder):
     def recording(
         self, index: int, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None
     ) -> Recording:
-        """Episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
+        """Return episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
 
         With ``records`` (of ``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) only these, and no
         attachments: metrics need no more than ``agents``. Reads one row group.
@@ -99,7 +102,7 @@ class Dataset(DatasetFolder):
     def recordings(
         self, indices: range, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None
     ) -> Iterator[Recording]:
-        """Consecutive episodes, each as `recording` returns it, read together: faster for jobs over many.
+        """Yield consecutive episodes as `recording` returns them, read together, which is faster for many.
 
         Holds all of them in memory; their columns are views of common arrays.
         """
@@ -128,7 +131,7 @@ class Dataset(DatasetFolder):
                 )
 
     def with_columns(self, index: int, columns: Mapping[str, NDArray[Any]]) -> Recording:
-        """Episode ``index`` with all its records and attachments, and these arrays instead of its columns."""
+        """Return episode ``index`` with all its records and attachments, and these arrays instead of its columns."""
         row, one = self.row(index), range(index, index + 1)
         return Recording(
             episode=episode_from_dict(row, path=self.root),
@@ -140,7 +143,7 @@ class Dataset(DatasetFolder):
     def iter_columns(
         self, columns: Sequence[str], *, episodes: Iterable[int] | None = None
     ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-        """Episode by episode ``(index, {column: array [T, ...]})``: constant memory, only these columns are read.
+        """Yield ``(index, {column: array [T, ...]})`` of each episode, in constant memory; only these columns are read.
 
         A column that an episode lacks is not in its dict. Metrics use this.
         """
@@ -150,11 +153,11 @@ class Dataset(DatasetFolder):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras of which the episodes have videos."""
+        """Names of the cameras that have videos of the episodes."""
         return tuple(video.camera for video in self.schema.videos)
 
     def video(self, index: int, camera: str) -> EpisodeVideo:
-        """Video of a camera in episode ``index``, with one frame for each step; `EpisodeVideo.frames` decodes it.
+        """Return the video of a camera in episode ``index``, with one frame for each step; `EpisodeVideo.frames` decodes it.
 
         Raises:
             InputError: there is no such episode or camera, or the episode has no steps.
@@ -179,7 +182,7 @@ class Dataset(DatasetFolder):
         return _layout(self.row(index)["columns"])
 
     def to_numpy(self, index: int, stored: Mapping[str, pa.ChunkedArray], rows: int) -> dict[str, NDArray[Any]]:
-        """Some stored columns of episode ``index`` (from `read_group`), ``rows`` long, in their own shapes.
+        """Return stored columns of episode ``index`` (from `read_group`), ``rows`` long, in their own shapes.
 
         Columns without width are not stored; the result has them all the same.
         """

@@ -1,4 +1,4 @@
-"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear whole."""
+"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear only when complete."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from h3data.files import part_file
 from h3data.recording.storage import AnyPath, RemotePath
 
 FILES_PER_CHUNK = 1000
-"""LeRobot's ``chunks_size``: files per folder ``chunk-000``, ``chunk-001``, ..."""
+"""Number of files per folder ``chunk-000``, ``chunk-001``, ...: LeRobot's ``chunks_size``."""
 
 
 @overload
@@ -18,7 +18,7 @@ def shard_path(root: Path, kind: str, shard: int) -> Path: ...
 @overload
 def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath: ...
 def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
-    """File number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
+    """Return the path of file number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
     return root / kind / f"chunk-{shard // FILES_PER_CHUNK:03d}" / f"file-{shard % FILES_PER_CHUNK:03d}.parquet"
 
 

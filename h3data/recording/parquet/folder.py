@@ -1,4 +1,4 @@
-"""The committed episodes of a dataset folder as Arrow tables: its episode table, row groups and records."""
+"""Committed episodes of a dataset folder as Arrow tables: its episode table, row groups and records."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BLOCK, _BLOCKS_KEPT = 64, 256
 
 
 class EpisodeRows(Sequence[dict[str, Any]]):
-    """The rows of an episode table as Python values, made when they are asked for.
+    """Rows of an episode table as Python values, made on demand.
 
     Those of a million episodes would take gigabytes; the 16,384 used last are kept.
     """
@@ -63,7 +63,7 @@ class EpisodeRows(Sequence[dict[str, Any]]):
 
 
 class DatasetFolder:
-    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
+    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is active."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).
@@ -135,14 +135,14 @@ class DatasetFolder:
 
     @cached_property
     def rows(self) -> Sequence[dict[str, Any]]:
-        """Return `episodes` as Python values, with today's names in ``info``."""
+        """Rows of `episodes` as Python values, with present names in ``info``."""
         return EpisodeRows(self.episodes)
 
     def __len__(self) -> int:
         return len(self.episodes)
 
     def row(self, index: int) -> dict[str, Any]:
-        """Row ``index`` of `episodes`.
+        """Return row ``index`` of `episodes`.
 
         Raises:
             InputError: there is no such episode.
@@ -159,7 +159,7 @@ class DatasetFolder:
         return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
 
     def read_group(self, group: Sequence[int], names: Sequence[str]) -> pa.Table:
-        """Stored columns of some episodes of one shard, at least one of them with steps.
+        """Read stored columns of some episodes of one shard, at least one of them with steps.
 
         Raises:
             FormatError: they are damaged.

@@ -1,4 +1,4 @@
-"""The metadata that make a folder of Parquet files a LeRobot v3.0 dataset: info.json, tasks.parquet, stats.json.
+"""Metadata of a LeRobot v3.0 dataset: info.json, tasks.parquet, stats.json.
 
 They only summarise: `rebuild_meta` makes them again from ``h3/schema.json`` and ``meta/episodes``.
 """
@@ -29,7 +29,7 @@ FILE_MB = 128
 
 @dataclass
 class Totals:
-    """Numbers of info.json, tasks.parquet and stats.json."""
+    """Contents of info.json, tasks.parquet and stats.json."""
 
     episodes: int = 0
     frames: int = 0
@@ -39,7 +39,7 @@ class Totals:
 
     @classmethod
     def of(cls, root: AnyPath) -> Self:
-        """Totals of all committed episodes of a dataset.
+        """Count all committed episodes of a dataset.
 
         Raises:
             FormatError: an episode table is damaged.

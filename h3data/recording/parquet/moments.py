@@ -37,7 +37,7 @@ class Moments:
         return np.sqrt(self.m2 / np.maximum(self.count, 1))
 
     def to_lists(self) -> list[list[float]]:
-        """Plain lists of all fields, for JSON; the inverse of `from_lists`."""
+        """Return all fields as plain lists, for JSON; the inverse of `from_lists`."""
         arrays = (self.count, self.mean, self.m2, self.low, self.high)
         return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
 

@@ -1,4 +1,4 @@
-"""Records of a Parquet dataset that are not steps: bodies, assets, agents, skills, events, inputs, and attached files."""
+"""Records of a Parquet dataset other than steps: bodies, assets, agents, skills, events, inputs, and attached files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DAMAGE = (
 
 
 def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
-    """Table in a small Parquet file, without the columns for which ``leave_out`` is true.
+    """Read the table in a small Parquet file, without the columns for which ``leave_out`` is true.
 
     It takes half the time of `pq.read_table`, which is made for folders of files.
     """
@@ -46,7 +46,7 @@ def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) ->
 
 
 class DatasetRecords:
-    """The records of a dataset folder; tables of the shards read last are kept."""
+    """Records of a dataset folder; tables of the most recently read shards are cached."""
 
     def __init__(self, root: AnyPath) -> None:
         """Records of the dataset in ``root``."""

@@ -82,7 +82,7 @@ def stored_dtype(column: Column) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSchema:
-    """Columns that every data file of a dataset holds, decided before the first one is written."""
+    """Columns of every data file of a dataset, fixed before the first one is written."""
 
     columns: Layout
     """Widest shape of every column."""
@@ -93,7 +93,7 @@ class DatasetSchema:
     videos: tuple[VideoFeature, ...] = ()
     """Cameras of which every episode has a video."""
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
+    """Names of the numbers in a column, by column, as an export to LeRobot writes them."""
     episode_stats: bool = True
     """True if the episode tables have LeRobot's statistics of every feature. Older datasets have only those of the
     videos."""
@@ -149,7 +149,7 @@ class DatasetSchema:
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
-    """Return the narrowest layout that all of these fit; ``max_bodies`` widens ``object_pose``.
+    """Return the narrowest layout that fits all of these; ``max_bodies`` widens ``object_pose``.
 
     Raises:
         InputError: columns of one name differ in dtype or number of axes.
@@ -176,7 +176,7 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
 
 
 def data_schema(schema: DatasetSchema) -> pa.Schema:
-    """Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
+    """Return the Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
     fields = [pa.field(name, arrow_rows(dtype, 1)) for name, dtype in STANDARD.items()]
     fields += [pa.field(c.name, arrow_rows(stored_dtype(c), c.width)) for c in schema.columns if c.width]
     return pa.schema(
@@ -185,7 +185,7 @@ def data_schema(schema: DatasetSchema) -> pa.Schema:
 
 
 def episode_schema(schema: DatasetSchema) -> pa.Schema:
-    """Arrow schema of the episode tables: `EPISODE_SCHEMA`, for every camera the place of its video, and statistics."""
+    """Return the Arrow schema of the episode tables: `EPISODE_SCHEMA`, the video files of every camera, and statistics."""
     fields = list(EPISODE_SCHEMA)
     channels = pa.list_(pa.list_(pa.list_(pa.float64())))
     for video in schema.videos:
@@ -206,7 +206,7 @@ def episode_schema(schema: DatasetSchema) -> pa.Schema:
 
 
 def record_schema(struct: str) -> pa.Schema:
-    """Arrow schema of a sidecar: the fields of one of `STRUCTS` and the episode they belong to."""
+    """Return the Arrow schema of a sidecar: the fields of one of `STRUCTS` and the episode they belong to."""
     arrow = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
     kinds = {name: (arrow[spec.rstrip("*")], spec.endswith("*")) for name, spec in STRUCTS[struct].items()}
     fields = [(name, pa.list_(kind) if many else kind) for name, (kind, many) in kinds.items()]
@@ -214,7 +214,7 @@ def record_schema(struct: str) -> pa.Schema:
 
 
 def arrow_rows(dtype: str, width: int) -> pa.DataType:
-    """Arrow type of one row of a column: a scalar, or a fixed-size list if the width is not 1."""
+    """Return the Arrow type of one row of a column: a scalar, or a fixed-size list if the width is not 1."""
     item = pa.from_numpy_dtype(np.dtype(dtype))
     # as LeRobot stores a feature of one number
     return item if width == 1 else pa.list_(item, width)

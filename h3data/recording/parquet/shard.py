@@ -1,4 +1,4 @@
-"""Write a shard of a dataset: a data file, its sidecars and its episode table, which stay invisible until all are complete."""
+"""Writing of a shard of a dataset: data file, sidecars and episode table, which stay invisible until all are complete."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ class Shard:
 
     @property
     def bytes(self) -> int:
-        """Size of the data file so far."""
+        """Present size of the data file [bytes]."""
         return self._stream.tell()
 
     @property
     def video_frames(self) -> int:
-        """Number of frames in each video file so far."""
+        """Present number of frames in each video file."""
         return max((video.frames for video in self.videos.values()), default=0)
 
     @property
     def video_bytes(self) -> int:
-        """Size of the largest video file so far."""
+        """Present size of the largest video file [bytes]."""
         return max((video.bytes for video in self.videos.values()), default=0)
 
     def add(
@@ -260,7 +260,7 @@ def _sync(stream: IO[bytes]) -> None:
 
 
 def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Table:
-    """Return the records of episode ``index``; an `InputError` if a value cannot be stored."""
+    """Return the records of episode ``index``; raise an `InputError` if a value cannot be stored."""
     rows = [{"episode_index": index, **record} for record in records]
     try:
         return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))

@@ -13,7 +13,7 @@ from h3data.recording.steps import Steps
 
 
 class DatasetSteps(Steps):
-    """The steps of one episode of a dataset; columns once read are kept in Arrow's form."""
+    """Steps of one episode of a dataset; columns that have been read stay in memory in Arrow's form."""
 
     def __init__(self, dataset: Dataset, index: int) -> None:
         self.dataset, self.index = dataset, index

@@ -64,7 +64,10 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
 
 
 def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
-    """Tensors [T, *shape]. A column of one chunk shares its memory, except bool, which Arrow packs into bits."""
+    """Return columns as tensors [T, *shape].
+
+    A column of one chunk shares its memory, except bool, which Arrow packs into bits.
+    """
     import torch
 
     tensors = {}
@@ -80,7 +83,7 @@ def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, t
 
 
 def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -> pa.Schema:
-    """Names and declared types of the columns of the data files: all, or ``columns`` in their order.
+    """Return the names and declared types of the columns of the data files: all, or ``columns`` in their order.
 
     Raises:
         InputError: there is no such column, or its width is 0 in the whole dataset, so that it is not stored.
@@ -98,7 +101,7 @@ def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -
 
 
 def chosen_episodes(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Sequence[int]:
-    """``episodes``, or all; an `InputError` if one does not exist."""
+    """Return ``episodes``, or all of them; raise an `InputError` if one does not exist."""
     chosen = range(len(dataset)) if episodes is None else list(episodes)
     for index in chosen:
         if not 0 <= index < len(dataset):
@@ -110,7 +113,7 @@ def chosen_episodes(dataset: DatasetFolder, episodes: Iterable[int] | None) -> S
 
 
 def shapes_of(dataset: DatasetFolder) -> dict[str, tuple[int, ...]]:
-    """Declared shape of one row of each stored column."""
+    """Return the declared shape of one row of each stored column."""
     return {**dict.fromkeys(STANDARD, ()), **{c.name: c.shape for c in dataset.schema.columns if c.width}}
 
 

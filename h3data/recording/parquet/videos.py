@@ -76,7 +76,7 @@ class EpisodeVideo:
     moments: Moments
     """Moments of the channels R, G, B over all pixels, in 0..1."""
     start: int = 0
-    """Frame of the file with which the episode begins, a key frame."""
+    """Number of the frame of the file with which the episode begins, a key frame."""
 
     def frames(self) -> Iterator[NDArray[np.uint8]]:
         """Decode the frames in order, each sRGB [height, width, 3].

@@ -39,7 +39,7 @@ _WRITER = "h3/writer"
 
 
 class DatasetWriter:
-    """Writes recordings into a dataset folder.
+    """Writer of recordings into a dataset folder.
 
     The first episode fixes the columns of a dataset, or ``like`` (recordings whose columns must fit as well) and
     ``max_bodies`` (moving bodies of the fullest scene) do so up front. Later episodes may be narrower or lack columns - they

@@ -1,1 +1,1 @@
-"""Start states, goals and identities of episodes of the built-in tasks, whatever file they come from."""
+"""Start states, goals and identities of episodes of the built-in tasks, from any kind of file."""

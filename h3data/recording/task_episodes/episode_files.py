@@ -1,4 +1,4 @@
-"""Files of episodes that are to be played: what reads and writes them is found by the group ``h3data.episode_files``."""
+"""Files of episodes to be played; the group ``h3data.episode_files`` provides their readers and writers."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ class EpisodeFiles:
     """One kind of episode files, and of the objects that episodes in them add to their scenes."""
 
     read: Callable[[Path], EpisodeSet]
-    """The episodes of a file."""
+    """Function that reads the episodes of a file."""
     write: Callable[[EpisodeSet, Path], None]
-    """Writes episodes as a file."""
+    """Function that writes episodes to a file."""
     encode: Callable[[RearrangeEpisode], bytes]
-    """An episode as it stands in a file."""
+    """Function that returns an episode in the form of the file."""
     scene_of: Callable[..., SceneSource]
-    """Called as ``(episode, stored, folder, *, assets, allow_missing)`` with an episode that was read from a file in ``folder``
-    and its `StoredEpisode`, or None: the source of the episode's scene."""
+    """Function that returns the source of an episode's scene. It is called as ``(episode, stored, folder, *, assets,
+    allow_missing)`` with an episode from a file in ``folder`` and its `StoredEpisode`, or None."""
     add_objects: Callable[
         [Scene, Sequence[EpisodeObject], Sequence[str], Sequence[str]], tuple[Scene, Mapping[str, Array]]
     ]
-    """Called with a scene, an episode's objects, the folders of their templates and asset folders: the scene with the objects,
-    and by name the center of mass [3] [m] of each in its asset's axes. Boxes stand in for templates that are not there."""
+    """Function that adds objects to a scene. It is called with a scene, an episode's objects, the folders of their
+    templates and asset folders; it returns the scene with the objects, and the center of mass [3] [m] of each by name,
+    in the axes of its asset. Boxes replace missing templates."""
     stand_ins: Callable[[SceneSource, Sequence[EpisodeObject], Sequence[str]], Sequence[str]]
-    """Called with a scene's source, an episode's objects and the folders of their templates: for which objects boxes stand in,
-    and why."""
+    """Function that returns which objects are replaced by boxes, and why, for a scene's source, an episode's objects
+    and the folders of their templates."""
 
 
 def _check(entry: Any) -> None:

@@ -1,4 +1,4 @@
-"""PARTNR's collaboration episodes: what their propositions ask to be put where.
+"""Goals of PARTNR's collaboration episodes: which objects have to be put where, from their propositions.
 
 An episode lists propositions such as ``is_on_top(object_handles, receptacle_handles, number)``: ``number`` of the objects
 have to be on any of the pieces of furniture (partnr-planner, habitat_llm/agent/env/evaluation). Those that ask for a place on
@@ -41,7 +41,7 @@ class _Proposition(msgspec.Struct):
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """Return the placements that an episode of PARTNR asks for, in the order of its propositions; None for other episodes.
+    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other episodes.
 
     Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
     things done is not kept.

@@ -1,4 +1,4 @@
-"""Episode datasets of habitat-lab: which objects lie where, where they have to go (spec/habitat.md 0, 6.5).
+"""Episode datasets of habitat-lab: positions and goals of objects (spec/habitat.md 0, 6.5).
 
 Poses stay the 4x4 matrices that the file has (row-major, acting on column vectors, local to world [m]), so that reading
 and writing lose nothing; `object_poses` and `goal_poses` give them as pose7. An object's frame is its centre-of-mass frame.
@@ -19,7 +19,7 @@ from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix
 
 RIGID_TOLERANCE = 1e-3
-"""Largest error of an entry of R^T R. Habitat writes five decimals, which costs less than 2e-5."""
+"""Largest error of an entry of R^T R. Habitat writes five decimals, which causes errors below 2e-5."""
 
 Matrix = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Marker(msgspec.Struct, frozen=True, kw_only=True):
     link: str | int
     object: str
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Keys that we do not know; those of ``params`` under ``params``."""
+    """Unknown keys; those of ``params`` under ``params``."""
 
 
 class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -61,7 +61,8 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     scene_dataset_config: str = "default"
     additional_obj_config_paths: tuple[str, ...] = ()
     start_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """World [m]. The multi-agent tasks draw their own starts and ignore it (spec/habitat.md 1.2)."""
+    """Start of the agent in the world [m]. The multi-agent tasks sample their own starts and ignore it (spec/habitat.md
+    1.2)."""
     start_rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     """Quaternion ``[x y z w]`` of an agent that looks along -Z in its own frame."""
     rigid_objects: tuple[RigidObject, ...] = ()
@@ -73,12 +74,12 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     goal_receptacles: tuple[tuple[str, int | None], ...] = ()
     """Receptacles of the goals, in the same form as those of the targets."""
     name_to_receptacle: Mapping[str, str] = msgspec.field(default_factory=dict)
-    """Unique receptacle name by object handle."""
+    """Name of the receptacle by handle of the object."""
     ao_states: Mapping[str, Mapping[int, float]] = msgspec.field(default_factory=dict)
     """Joint positions [rad or m] by link index, by handle of the articulated object, where they are not the default."""
     info: Mapping[str, Any] = msgspec.field(default_factory=dict)
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Keys of the file that we do not know, or that have an older form. The stock loader of habitat-lab refuses
+    """Keys of the file that are unknown here, or that have an older form. The stock loader of habitat-lab refuses
     episodes with keys that its class lacks, and refuses the original file too."""
     absent: frozenset[str] = frozenset()
     """Keys of Habitat that the file did not have (or that are in ``extra``); these fields are not written."""
@@ -96,7 +97,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class ContentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """Part of a dataset that lies in several files: ``content/<name>.json.gz``."""
+    """Part of a dataset that is split into files ``content/<name>.json.gz``."""
 
     name: str
     episodes: int
@@ -111,9 +112,10 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Keys of the file that have no field here, such as ``config``."""
     contents: tuple[ContentFile, ...] = ()
-    """The files that hold the episodes, where the dataset is split by scene; replace it by () to write one file."""
+    """Names of the files that hold the episodes, if the dataset is split by scene; replace it by () to write one
+    file."""
     warnings: tuple[str, ...] = ()
-    """Oddities of the file, which can be used nevertheless."""
+    """Peculiarities of the file, which can nevertheless be used."""
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -124,7 +126,7 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def instance_handles(episode: RearrangeEpisode) -> list[str]:
-    """Handles ``<template>_:<count>`` that Habitat gives to ``episode.rigid_objects``, in the same order.
+    """Return the handles ``<template>_:<count>`` that Habitat gives to ``episode.rigid_objects``, in the same order.
 
     Habitat instances them in the order of their template names and counts per template (spec/habitat.md 6.5).
     """
@@ -132,7 +134,10 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
 
 def handles_of(configs: Sequence[str]) -> list[str]:
-    """Handles that Habitat gives to objects, by the file names of their templates, in the same order (`instance_handles`)."""
+    """Return the handles that Habitat gives to objects, from the file names of their templates, in the same order.
+
+    See `instance_handles`.
+    """
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
     # the sort is stable, so objects of one template are counted in the order of the file

@@ -1,4 +1,4 @@
-"""Social-navigation episodes in Habitat's files: the starts and way points that Habitat itself draws anew every time.
+"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples anew every time.
 
 Habitat stores neither where the two agents begin nor where the person walks (spec/habitat.md 1.2). Ours lie under
 ``info["h3data"]``, which Habitat carries along unread, so that one file serves both.
@@ -20,14 +20,14 @@ TASK = "social_nav"
 
 
 class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
-    """Starts of both agents and the walk of the person: all that a simulator needs besides the scene."""
+    """Starts of both agents and the walk of the person: everything that a simulator needs besides the scene."""
 
     robot_start: Start
     human_start: Start
     human_goals: tuple[tuple[float, float], ...]
     """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
     goals_within_m: float = 0.0
-    """Largest distance between a goal and the place that the person truly walked to [m]; 0 = exact."""
+    """Largest distance between a goal and the place that the person actually walked to [m]; 0 = exact."""
     goals_complete: bool = True
     """True if the person needs no further goal in ``max_steps``; False where an episode ended early."""
     floor_y: float = 0.0
@@ -35,12 +35,12 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     max_steps: int = 1500
     seed: int = 0
     robot: str = ""
-    """Model, such as ``robot/quad_arm``."""
+    """Model of the robot, such as ``robot/quad_arm``."""
     human: str = ""
     scene_sha256: str = ""
-    """Digest of the scene (`h3data.scene.scene_digest`), to tell that it is the same home."""
+    """Digest of the scene (`h3data.scene.scene_digest`), which identifies the home."""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Source from which the scene is made again: generator and seed, or file."""
+    """Source of the scene: generator and seed, or file."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Speeds, distances and so on, as ``SocialNavSpec`` names them."""
     recording: str = ""
@@ -56,7 +56,7 @@ def social_nav_episode(
     rigid_objects: Sequence[RigidObject] = (),
     targets: Mapping[str, Matrix] | None = None,
 ) -> RearrangeEpisode:
-    """Return a Habitat episode that carries ``nav``; `write_episodes` writes it, `read_social_nav` gets it back.
+    """Return a Habitat episode that contains ``nav``, for `write_episodes`; `read_social_nav` is the inverse.
 
     Habitat's own fields hold the robot's start. Its social-navigation task also looks for a target object when it
     resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
@@ -75,7 +75,7 @@ def social_nav_episode(
 
 
 def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
-    """Return the starts and way points that an episode carries; None if it has none of ours.
+    """Return the starts and waypoints in an episode of h3data; None for other episodes.
 
     Raises:
         FormatError: ours, but damaged or from a newer version.
@@ -84,7 +84,7 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
 
 
 def require_finite(nav: SocialNavEpisode) -> None:
-    """Raise an InputError where a start or way point is NaN or infinite."""
+    """Raise an InputError if a start or waypoint is NaN or infinite."""
     numbers = [*nav.robot_start, *nav.human_start, *(v for goal in nav.human_goals for v in goal), nav.floor_y]
     if not all(map(math.isfinite, numbers)):
         raise InputError(

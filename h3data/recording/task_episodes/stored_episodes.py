@@ -1,4 +1,4 @@
-"""Complete episodes in Habitat's files: what Habitat leaves to chance lies in ``info["h3data"]``, which it does not read."""
+"""Complete episodes in Habitat's files: what Habitat samples is in ``info["h3data"]``, which it does not read."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 
 KEY = "h3data"
 VERSION = 1
-"""A reader refuses a higher one; added fields do not raise it."""
+"""Version of the record. A reader refuses a higher one; added fields do not raise it."""
 
 Start = tuple[float, float, float]
-"""``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
+"""Start ``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
 Record = TypeVar("Record", bound=msgspec.Struct)
 
 
@@ -27,12 +27,12 @@ class StoredEpisode(Protocol):
 
     @property
     def seed(self) -> int:
-        """Seed of all random choices that the record does not hold."""
+        """Seed of all random choices that are not in the record."""
         ...
 
     @property
     def scene_sha256(self) -> str:
-        """Digest of the scene (`h3data.scene.scene_digest`), to tell that it is the same home; empty if unknown."""
+        """Digest of the scene (`h3data.scene.scene_digest`), which identifies the home; empty if unknown."""
         ...
 
     @property
@@ -49,12 +49,12 @@ def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
 
 
 def info_block(task: str, record: StoredEpisode) -> dict[str, Any]:
-    """``info`` of a Habitat episode that carries a record of a task."""
+    """Return the ``info`` of a Habitat episode that carries a record of a task."""
     return {KEY: {"task": task, "version": VERSION, **plain(msgspec.to_builtins(record))}}
 
 
 def task_of(episode: RearrangeEpisode) -> str | None:
-    """Task of the record that an episode carries; None if it carries none."""
+    """Return the task of the record that an episode carries; None if it carries none."""
     block = episode.info.get(KEY)
     task = block.get("task") if isinstance(block, dict) else None
     return task if isinstance(task, str) else None
@@ -83,7 +83,7 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
 
 
 def plain(value: Any) -> Any:
-    """Return the value as it will come back from a file: lists for tuples.
+    """Return the value in the form in which a file returns it: lists for tuples.
 
     Raises:
         InputError: JSON cannot hold it.

@@ -1,4 +1,4 @@
-"""Rearrangement episodes in Habitat's files: which objects lie where, where they have to go, where the agents start.
+"""Rearrangement episodes in Habitat's files: positions and goals of objects, and starts of the agents.
 
 Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
 ``info["h3data"]`` (`h3data.recording.task_episodes.stored_episodes`). Both are read as one record.
@@ -37,14 +37,14 @@ TASK = "rearrange"
 
 
 class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Object and the place where it has to go; also an entry of a recording's ``info["goals"]``."""
+    """Object and its goal; also an entry of a recording's ``info["goals"]``."""
 
     object: str
     """Name of the instance in the scene."""
     start: list[float]
     """Pose (pose7) in the world at the beginning."""
     position: list[float]
-    """Position to which its origin has to come, [3] [m]."""
+    """Goal of the object's origin, [3] [m]."""
     source: str = msgspec.field(name="from")
     """Receptacle on which the object lies, ``instance|receptacle``; empty if unknown."""
     destination: str = msgspec.field(name="to")
@@ -68,7 +68,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
 
     goals: tuple[StoredGoal, ...]
     placements: tuple[Placement, ...] = ()
-    """Further objects, for whose goals a place on one of some pieces of furniture is sampled from the seed."""
+    """Further objects and the furniture on which their goals are sampled from the seed."""
     robot_start: Start | None = None
     """Start of the robot; None, as in Habitat's files, means that it is sampled from the seed."""
     human_start: Start | None = None
@@ -82,7 +82,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     """Height of the floor [m]."""
     seed: int = 0
     robot: str = ""
-    """Model, such as ``robot/quad_arm``; empty: the default one."""
+    """Model of the robot, such as ``robot/quad_arm``; empty: the default one."""
     human: str = ""
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
@@ -174,7 +174,9 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
 
 
 def rearrangement_of(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
-    """Objects, targets and instruction of an episode of Habitat's files, whose targets count only without placements.
+    """Return the objects, targets and instruction of an episode of Habitat's files.
+
+    Targets count only in an episode without placements.
 
     Raises:
         InputError: a target is no object of it, or a pose is none.

@@ -1,1 +1,1 @@
-"""Light sources of a scene. Their light is baked by what the group ``h3data.lights`` offers (`h3data_light`)."""
+"""Light sources of a scene. The group ``h3data.lights`` provides functions that bake their light (`h3data_light`)."""

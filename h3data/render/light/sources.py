@@ -15,16 +15,18 @@ from h3data.plugins import Registry
 from h3data.scene.records import LightSource, Scene, instance_bounds
 
 BAKERS: Registry[Callable[..., Any]] = Registry("h3data.lights", {}, what="light")
-"""Functions that light a scene: meshes, instances, numbers of those that never move, and `LightSources` to a lit scene."""
+"""Functions that light a scene: from meshes, instances, numbers of static instances, and `LightSources` to a lit
+scene."""
 LightMode = Literal["baked", "flat"]
-"""``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light everywhere."""
+"""Kind of light. ``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light
+everywhere."""
 
 
 def check_light(light: object) -> None:
-    """Refuse what is no `LightMode`.
+    """Raise an error for a value that is not a `LightMode`.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is not one.
     """
     if light not in get_args(LightMode):
         raise InputError(
@@ -34,7 +36,7 @@ def check_light(light: object) -> None:
 
 @dataclass(frozen=True)
 class Window:
-    """A pane through which the sky is seen: an upright rectangle."""
+    """A window pane: an upright rectangle through which sky light enters."""
 
     center: NDArray[np.float64]
     half_u: NDArray[np.float64]
@@ -63,11 +65,11 @@ class LightSources:
     suns: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...] = ()
     """Further suns, each a direction towards it and a linear RGB irradiance."""
     glass: frozenset[str] = field(default_factory=frozenset)
-    """Instances that let the sun through and are drawn bright."""
+    """Instances of window panes, which let the sun through and look bright."""
     glowing: frozenset[str] = field(default_factory=frozenset)
-    """Lamps: they cast no shadow and are drawn bright."""
+    """Instances of lamps, which cast no shadow and look bright."""
     glossy: frozenset[str] = field(default_factory=frozenset)
-    """Floors of varnished wood and glazed tile, which mirror a little."""
+    """Instances of floors of varnished wood and glazed tile, which mirror a little."""
 
 
 def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:

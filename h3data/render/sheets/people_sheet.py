@@ -29,7 +29,7 @@ def lined_up(
     row_m: float = ROW_M,
     props: Sequence[Sequence[Mesh]] = (),
 ) -> NDArray[np.uint8]:
-    """People in given poses, side by side from left to right, RGB [H, W, 3].
+    """Render people in given poses, side by side from left to right, RGB [H, W, 3].
 
     Args:
         poses: Body, joint rotations [1, 55, 4] and pelvis position [1, 3] of each person.

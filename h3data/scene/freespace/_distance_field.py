@@ -1,4 +1,4 @@
-"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a look at the nearest ones."""
+"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a check of the nearest ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TOUCH_M = 1e-7
 
 @kernel()
 def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
-    """Return the length [n] [m] of the shortest taut way from every node to the nearest of free goals [K, 2].
+    """Return the length [n] [m] of the shortest taut path from every node to the nearest of free goals [K, 2].
 
     Lengths are infinite where there is no path.
     """
@@ -32,7 +32,7 @@ def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
 def field_at(
     graph: Graph, corner: NDArray, goals: NDArray, x: float, z: float, max_snap: float
 ) -> tuple[float, float, float]:
-    """Distance [m] from (x, z) to the nearest goal and the unit direction (dx, dz) in which the shortest path sets out.
+    """Return the distance [m] from (x, z) to the nearest goal, and the unit direction (dx, dz) of the shortest path to it.
 
     ``corner`` are the `corner_distances` of the goals. No path: inf and NaN. In the goal the direction is zero.
     """
@@ -71,7 +71,7 @@ def field_at(
 
 @kernel()
 def field_many(graph: Graph, corner: NDArray, goals: NDArray, points: NDArray, max_snap: float) -> NDArray:
-    """Distance and direction [N, 3] at points [N, 2], as `field_at`."""
+    """Return distance and direction [N, 3] at points [N, 2], as `field_at`."""
     out = np.empty((len(points), 3))
     for k in range(len(points)):
         out[k, 0], out[k, 1], out[k, 2] = field_at(graph, corner, goals, points[k, 0], points[k, 1], max_snap)

@@ -1,4 +1,4 @@
-"""Compute outlines on the floor of collision shapes: the part of each convex shape in a band of heights, as polygons."""
+"""Outlines of collision shapes on the floor: the part of each convex shape in a band of heights, as polygons."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from h3data.scene.records import Capsule, Instance, Room, Scene, Shape, instance
 from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
 WALL_HALF_M = 0.06
-"""Half the thickness of walls around stairwells [m]: the stairwell has the floor up to the middle of the wall, the rooms beyond
-have the rest."""
+"""Half the thickness of walls around stairwells [m]: the stairwell's floor ends in the middle of the wall, and so does
+that of the rooms beyond."""
 WALL_GAP_M = 0.3
-"""Gaps up to this wide between the rectangles of rooms are wall or doorway, and belong to the floor; walls then cut it."""
+"""Largest width of gaps between the rectangles of rooms that are wall or doorway, and belong to the floor [m]; walls
+then cut it."""
 
 
 def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high: float) -> Polygon | None:
@@ -79,7 +80,7 @@ def rooms_level(rooms: tuple[Room, ...]) -> float:
 
 
 def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height_m: float) -> MultiPolygon:
-    """Floor of the rooms at one height minus everything between climb and head height above it: not yet inflated."""
+    """Return the floor of the rooms at one height minus everything between climb and head height above it."""
     rooms = tuple(r for r in scene.rooms if abs(r.floor_y - floor_y) <= climb_m)
     if not rooms:
         levels = sorted({r.floor_y for r in scene.rooms})
@@ -93,7 +94,7 @@ def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height
 
 
 def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> MultiPolygon:
-    """The floor of all storeys and of the stairs that join them, minus everything between climb and head height above it."""
+    """Return the floor of all storeys and their stairs, minus everything between climb and head height above it."""
     whole, parts = rooms_floor(scene.rooms), []
     stairs = [room for room in scene.rooms if room.ramp is not None]
     wells = shapely.union_all([box(*r) for room in stairs for r in room.rectangles.tolist()])

@@ -13,7 +13,7 @@ from h3data.scene.freespace._visibility import Graph, locate, nearest_free, sees
 def geodesic_pair(
     graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float
 ) -> tuple[float, int, int, float, float, float, float]:
-    """Length of the shortest path [m] (inf: none), its first and last node (-1: straight), and the two ends as snapped.
+    """Return the length of the shortest path [m] (inf: none), its end nodes (-1: straight), and the two ends as snapped.
 
     Best first: of all pairs of corners beside the ends the one with the shortest way is looked at, and dropped if an end
     does not see its corner. Looking is dear, and mostly the first pair is seen.
@@ -70,7 +70,7 @@ def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float)
 def first_leg(
     graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float, beyond: float
 ) -> tuple[float, float, float]:
-    """Length of the shortest path [m], and ``(x, z)`` of its first waypoint that is farther than ``beyond`` from its start.
+    """Return the length of the shortest path [m] and ``(x, z)`` of its first waypoint farther than ``beyond`` from a.
 
     If no waypoint is, it is the end of the path. The length is infinite if there is no path.
     """
@@ -88,7 +88,7 @@ def first_leg(
 
 @kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
-    """Return the way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
+    """Return the waypoints of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
         return np.empty((0, 2))

@@ -17,7 +17,7 @@ NEAR_M = 3.0
 
 
 def lattice_step(area_m2: float) -> float:
-    """Spacing [m] of the lattice for a free area."""
+    """Return the spacing [m] of the lattice for a free area."""
     # 1,200 nodes make a table of 6 MB. In small homes 0.25 m leaves an error of 2.0% at p95 and 0.15 m one of 0.9%; with
     # 0.5 m, 12 of 720 pairs fail (research/navigation-and-stepping.md 2.3).
     step = min(max(float(np.sqrt(area_m2 / 1200)), 0.15), 0.25)
@@ -148,7 +148,7 @@ def lattice_distance(
     bx: float,
     bz: float,
 ) -> float:
-    """Approximate length of the shortest path from a to b [m].
+    """Return the approximate length of the shortest path from a to b [m].
 
     It is never too short by more than the slack of the line of sight; its median error is 0.1%, and the largest errors
     occur next to corners at short range. It is infinite if the table does not connect a and b; the exact graph may.
@@ -182,7 +182,7 @@ def quick_distance(
     bz: float,
     max_snap: float,
 ) -> float:
-    """Shortest path length a-b [m]: by the lattice, and exact where that could be wrong by much (near, or not joined)."""
+    """Return the length of the shortest path from a to b [m]: by the lattice, and exact where that could be far off."""
     length = lattice_distance(sdf, origin, cell, radius, lattice, ax, az, bx, bz)
     if (length < NEAR_M and length > np.hypot(bx - ax, bz - az)) or length == np.inf:
         return geodesic_pair(graph, ax, az, bx, bz, max_snap)[0]

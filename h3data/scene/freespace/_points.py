@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 
 SNAP_M = 0.3
-"""Ends of a path may be this far off the free area: they are moved to its border first, as Habitat snaps them."""
+"""Largest distance of the end of a path from the free area [m]: it is moved to its border first, as Habitat snaps
+it."""
 
 
 def floor_points(points: ArrayLike) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners worth looking at from within it.
+"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners that may be visible from within it.
 
 A taut string leaves a corner only inside a wedge on either side of it, and of that wedge walls hide most. Of hundreds of
 corners about ten are left per bucket, so that a query looks at those alone. A set never misses a corner (it is
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 INFLATE_M, MERGE_RAD = 1e-3, 1e-7
-"""Buckets count as this much larger on all sides, ten times what a point may lie outside the free area [m]; gaps between
-blocked angles narrower than this are none: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
+"""Distance by which buckets are enlarged on all sides, ten times what a point may lie outside the free area [m]; and
+angle below which gaps between blocked angles are ignored: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
 
 
 @kernel()

@@ -1,4 +1,4 @@
-"""Numba kernels on a signed distance grid: look-up, gradient, line of sight, and building it from polygon edges.
+"""Numba kernels on a signed distance grid: look-up, gradient, line of sight, and construction from polygon edges.
 
 A grid is ``sdf`` float32 [nx, nz] with the values at cell centres; ``origin`` (x, z) is the lower corner of cell [0, 0], so
 the centre of cell [i, j] is ``origin + (i + 0.5, j + 0.5) * cell``. Distances are to the nearest obstacle or border of the
@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel, kernel_part
 
 SLACK_M = 0.004
-"""A line of sight may come this much nearer than the radius: bilinear look-up on a 5 cm grid is that wrong beside a
-surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
+"""Distance by which a line of sight may come nearer than the radius [m]: the error of bilinear look-up on a 5 cm grid
+beside a surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
 HIT_M = 0.002
-"""A ray of a laser scanner ends this near an obstacle."""
+"""Distance from an obstacle at which a ray of a laser scanner ends [m]."""
 RAY_STRIDE_M = 0.01
-"""Shortest stride of such a ray at its start, and by how much it grows per metre of the way."""
+"""Shortest stride of a scanner's ray at its start, and its growth per metre of the ray."""
 RAY_STRIDE_GROWTH = 0.005
 RAY_STRIDES = 64
-"""Most strides of such a ray, with which 99.7% of rays in furnished homes are within 5 cm, half of them within 1 mm."""
+"""Largest number of strides of a scanner's ray, with which 99.7% of rays in furnished homes are within 5 cm, half of
+them within 1 mm."""
 
 
 @kernel_part(inline="always")
@@ -37,7 +38,10 @@ def _clipped(value: float, most: float) -> float:
 
 @kernel(inline="always")  # called, it would count references to its arrays: stepping takes a quarter longer
 def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> float:
-    """Signed distance [m] at the floor point (x, z), bilinear; off the grid the border value minus the distance to it."""
+    """Return the signed distance [m] at the floor point (x, z), bilinear.
+
+    Off the grid it is the border value minus the distance to the border.
+    """
     fx = (x - origin[0]) / cell - 0.5
     fz = (z - origin[1]) / cell - 0.5
     cx, cz = _clipped(fx, sdf.shape[0] - 1.0), _clipped(fz, sdf.shape[1] - 1.0)
@@ -55,7 +59,7 @@ def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -
 
 @kernel(inline="always")
 def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> tuple[float, float]:
-    """Gradient (d/dx, d/dz) of the bilinear distance at (x, z).
+    """Return the gradient (d/dx, d/dz) of the bilinear distance at (x, z).
 
     It points away from the nearest obstacle, with a length of about 1 (shorter on the ridges half-way between
     obstacles).
@@ -79,7 +83,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
-    """Return whether a disc of ``radius`` [m] can go straight from a to b, by sphere tracing, to about 5 mm of clearance."""
+    """Return whether a disc of ``radius`` [m] can move straight from a to b, by sphere tracing, to about 5 mm of clearance."""
     length = np.hypot(bx - ax, bz - az)
     if length == 0.0:
         return sample_sdf(sdf, origin, cell, ax, az) >= radius - SLACK_M
@@ -125,7 +129,7 @@ def trace_rays(sdf, origin, cell, points, angles, most):
 
 @kernel()
 def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
-    """Signed distances [N] [m] at points [N, 2]."""
+    """Return the signed distances [N] [m] at points [N, 2]."""
     out = np.empty(len(points))
     for k in range(len(points)):
         out[k] = sample_sdf(sdf, origin, cell, points[k, 0], points[k, 1])
@@ -134,7 +138,7 @@ def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray)
 
 @kernel()
 def sdf_gradient_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
-    """Gradients [N, 2] of the distance at points [N, 2]."""
+    """Return the gradients [N, 2] of the distance at points [N, 2]."""
     out = np.empty((len(points), 2))
     for k in range(len(points)):
         out[k, 0], out[k, 1] = sdf_gradient(sdf, origin, cell, points[k, 0], points[k, 1])
@@ -185,7 +189,7 @@ def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) 
 
 @kernel()
 def sdf_from_edges(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
-    """Exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
+    """Return the exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
 
     Blocks of cells share one list of edges that can be nearest to any of them: an edge farther from the middle of a
     block than the nearest one plus the block's diameter cannot be.

@@ -24,14 +24,15 @@ class Graph(NamedTuple):
     nodes: NDArray[np.float64]
     """Corners of the graph (x, z), shape [n, 2] [m]."""
     before: NDArray[np.float64]
-    """The corner before each node on its ring (free area on the left), shape [n, 2]."""
+    """Corner before each node on its ring (free area on the left), shape [n, 2]."""
     after: NDArray[np.float64]
-    """The corner after each node, shape [n, 2]."""
+    """Corner after each node, shape [n, 2]."""
     first: NDArray[np.int64]
-    """Nodes of island k are ``first[k]:first[k + 1]``, shape [islands + 1]."""
+    """First node of each island, shape [islands + 1]: island k has the nodes ``first[k]:first[k + 1]``."""
     distance: NDArray[np.float32]
-    """Length of the shortest taut way between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf where
-    there is none. A way that would kink at its first or last node is not in it: no shortest path has such a part."""
+    """Length of the shortest taut path between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf
+    where there is none. Paths that would kink at their first or last node are left out: no shortest path has such a
+    part."""
     previous: NDArray[np.int16]
     """Node before j on the shortest path from i to j, shape [n, n]; negative: none."""
     rings: NDArray[np.float64]
@@ -43,7 +44,8 @@ class Graph(NamedTuple):
     edge_island: NDArray[np.int32]
     """Island of each blocking edge, shape [e]."""
     bucket_start: NDArray[np.int32]
-    """Blocking edges of bucket b are ``bucket_edges[bucket_start[b]:bucket_start[b + 1]]``; b = i * buckets_z + j."""
+    """First blocking edge of each bucket: bucket b = i * buckets_z + j has
+    ``bucket_edges[bucket_start[b]:bucket_start[b + 1]]``."""
     bucket_edges: NDArray[np.int32]
     bucket_label: NDArray[np.int32]
     """Island at the middle of each bucket, -1 = not free, shape [bx, bz]."""
@@ -52,8 +54,8 @@ class Graph(NamedTuple):
     bucket_size: NDArray[np.float64]
     """Side of a bucket, shape [1] [m]."""
     visible_start: NDArray[np.int32]
-    """Nodes that a taut string from within bucket b may reach first are
-    ``visible_nodes[visible_start[b]:visible_start[b + 1]]``, and some more."""
+    """First visible node of each bucket: a taut string from within bucket b reaches one of
+    ``visible_nodes[visible_start[b]:visible_start[b + 1]]`` first (the list has some more)."""
     visible_nodes: NDArray[np.int32]
 
 
@@ -116,7 +118,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
 
 @kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
-    """Return whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    """Return whether the straight line from a to b stays in the free area, by a walk over the buckets along it."""
     edges, items, start = graph.edges, graph.bucket_edges, graph.bucket_start  # taken out in the loop they cost as much
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
@@ -153,7 +155,10 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
 
 @kernel()
 def locate(graph: Graph, x: float, z: float) -> int:
-    """Island of a point, -1 = not free: the label of the bucket's middle, changed at every edge on the way to it."""
+    """Return the island of a point, -1 = not free.
+
+    It is the label of the bucket's middle, changed at every edge between the middle and the point.
+    """
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
     if not (np.isfinite(x) and np.isfinite(z)):
@@ -187,7 +192,7 @@ def locate(graph: Graph, x: float, z: float) -> int:
 
 @kernel()
 def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple[float, float, int]:
-    """(x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
+    """Return (x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
     island = locate(graph, x, z)
     if island >= 0:
         return x, z, island
@@ -239,7 +244,7 @@ def bucket_of(graph: Graph, x: float, z: float) -> int:
 
 @kernel()
 def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
-    """Pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
+    """Return pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
     pairs = np.empty((1024, 2), np.int32)
     lengths = np.empty(1024)
     count = 0
@@ -269,7 +274,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Nodes at which a taut string from a free point (x, z) could bend first, whether seen or not, and how far they are."""
+    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and their distances."""
     nodes, candidates = graph.nodes, graph.visible_nodes
     b = bucket_of(graph, x, z)
     size = graph.visible_start[b + 1] - graph.visible_start[b]
@@ -287,7 +292,7 @@ def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Nodes that a taut string from a free point (x, z) can reach first, and how far they are."""
+    """Return nodes that a taut string from a free point (x, z) can reach first, and their distances."""
     found, away = tangent_nodes(graph, x, z)
     count = 0
     for k in range(len(found)):
@@ -299,7 +304,7 @@ def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def locate_many(graph: Graph, points: NDArray) -> NDArray:
-    """Islands [N] of points [N, 2], -1 = not free."""
+    """Return the islands [N] of points [N, 2], -1 = not free."""
     out = np.empty(len(points), np.int32)
     for k in range(len(points)):
         out[k] = locate(graph, points[k, 0], points[k, 1])

@@ -1,4 +1,4 @@
-"""Build the arrays of the visibility graph of a free area (shapely), with every edge checked twice."""
+"""Construction of the visibility graph of a free area (shapely), with every edge checked twice."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
 
 
 def ring_edges(polygon: Polygon) -> NDArray[np.float64]:
-    """Edges ``x0 z0 x1 z1`` [E, 4] of all rings of a polygon, the inside on the left."""
+    """Return the edges ``x0 z0 x1 z1`` [E, 4] of all rings of a polygon, the inside on the left."""
     corners = [np.asarray(ring.coords)[:, :2] for ring in _rings(polygon)]
     if not corners:
         return np.zeros((0, 4))
@@ -31,7 +31,7 @@ def ring_edges(polygon: Polygon) -> NDArray[np.float64]:
 
 
 def area_edges(area: MultiPolygon) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Edges [E, 4] of all polygons of an area, and which polygon each belongs to [E]."""
+    """Return the edges [E, 4] of all polygons of an area, and the polygon that each belongs to [E]."""
     per_part = [ring_edges(p) for p in area.geoms]
     owner = np.repeat(np.arange(len(per_part), dtype=np.int32), [len(e) for e in per_part])
     return np.concatenate([np.zeros((0, 4)), *per_part]), owner

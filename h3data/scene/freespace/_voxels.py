@@ -1,4 +1,4 @@
-"""Numba kernels that find the floor in a heap of triangles: voxel columns, then a flood over surfaces one can step onto.
+"""Numba kernels that find the floor among unordered triangles: voxel columns, then a flood over surfaces one can step onto.
 
 After Recast's idea (heightfields; spec/habitat.md names the settings): a surface can be stood on when it is not too steep
 and has headroom, and neighbouring surfaces join when the step between them is no higher than the climb.
@@ -38,7 +38,7 @@ def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, 
 def voxel_columns(
     triangles: NDArray, steep_cos: float, origin: NDArray, cell: float, level: float, shape: tuple[int, int, int]
 ) -> NDArray:
-    """Columns uint8 [nx, nz, ny] of triangles [F, 3, 3]: 0 nothing, 1 surface, 2 surface that is flat enough to stand on.
+    """Return columns uint8 [nx, nz, ny] of triangles [F, 3, 3]: 0 nothing, 1 surface, 2 surface flat enough to stand on.
 
     Exact: every triangle is clipped to every column that it touches. ``origin`` [3] is the lower corner, ``cell`` the
     side of a column, ``level`` the height of a voxel [m]; steep means a normal whose |y| is below ``steep_cos``.
@@ -81,7 +81,7 @@ def voxel_columns(
 
 @kernel()
 def mark_standable(columns: NDArray, head: int, climb: int) -> int:
-    """Marks with 3 every surface voxel that one can stand on; returns how many there are.
+    """Mark with 3 every surface voxel that one can stand on; return their number.
 
     It must be flat and have ``head`` empty voxels above it, or be a low thing (a fin, a ball) that ends no more than
     ``climb`` voxels above a flat surface of the same column.
@@ -113,7 +113,7 @@ def mark_standable(columns: NDArray, head: int, climb: int) -> int:
 
 @kernel()
 def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Connected surfaces among the voxels marked 3: (voxel [total, 3] as i j k, its component [total], sizes [C])."""
+    """Find connected surfaces among voxels marked 3: (voxel [total, 3] as i j k, its component [total], sizes [C])."""
     nx, nz, ny = columns.shape
     voxel = np.empty((total, 3), np.int32)
     component = np.empty(total, np.int32)
@@ -166,7 +166,7 @@ def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, 
 
 @kernel()
 def mask_rectangles(mask: NDArray) -> NDArray:
-    """Disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4] that cover a bool mask: equal runs of rows are merged."""
+    """Cover a bool mask by disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4]: equal runs of rows are merged."""
     nx, nz = mask.shape
     out = np.empty((256, 4), np.int64)
     count = 0

@@ -33,7 +33,7 @@ class BuildSpec:
     arc_segments: int = 8
     """Number of segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
     smooth_m: float = 1e-4
-    """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
+    """Distance from a straight line below which corners are dropped [m]: they are seams of unions, not geometry."""
     island_min_m2: float = 0.01
     """Area below which patches of floor are rounding errors [m2]."""
     voxel_m: float = 0.025
@@ -72,7 +72,7 @@ def scene_key(
     floor_y: float | None,
     method: Method,
 ) -> str:
-    """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
+    """Return the SHA-256 (hex) of all inputs of a builder, geometry and parameters: equal keys mean equal free space."""
     used = choose_method(scene, method)
     digest = hashlib.sha256(f"freespace {BUILD.version} {used}".encode())
     numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
@@ -195,7 +195,7 @@ def build_from_walkable(
 
 
 def without_stairs(floor: FloorMap) -> FloorMap:
-    """Floor for agents that cannot climb: flights of stairs are obstacles, so that storeys are islands."""
+    """Return the floor for agents that cannot climb: flights of stairs are obstacles, so that storeys are islands."""
     heights = floor.heights.copy()
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     heights[:, STEPS] = 0  # nobody sets a foot on them
@@ -212,7 +212,7 @@ def without_stairs(floor: FloorMap) -> FloorMap:
 
 
 def scene_triangles(scene: Scene) -> NDArray[np.float64]:
-    """World triangles [F, 3, 3] of all static instances."""
+    """Return the world triangles [F, 3, 3] of all static instances."""
     found = []
     for instance in scene.static_instances:
         mesh = scene.assets[instance.asset].mesh
@@ -229,7 +229,7 @@ def walkable_from_triangles(
     floor_y: float | None = None,
     voxel_m: float = BUILD.voxel_m,
 ) -> tuple[MultiPolygon, float]:
-    """Floor polygons (x, z), not yet inflated, and the height of the floor [m], of world triangles [F, 3, 3].
+    """Return floor polygons (x, z), not yet inflated, and the floor's height [m], from world triangles [F, 3, 3].
 
     The floor is the lowest large connected surface (or the one nearest to ``floor_y``), with every other surface at its
     height.

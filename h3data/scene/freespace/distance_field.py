@@ -40,7 +40,7 @@ class DistanceField:
         return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
 
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Unit vector [..., 2] in which the shortest path sets out from points [..., 2]: minus the gradient of `distance`.
+        """Return the unit vector [..., 2] along the shortest path from points [..., 2]: minus the gradient of `distance`.
 
         NaN where there is no path, zero in a goal. Points off the free area are moved to it first.
         """
@@ -49,7 +49,7 @@ class DistanceField:
     def distance_and_direction(
         self, points: ArrayLike, *, max_snap_m: float = SNAP_M
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """`distance` [...] and `direction` [..., 2] at once, for the price of one."""
+        """Return `distance` [...] and `direction` [..., 2] at once, in the time of one."""
         graph, corner, goals = self.graph, self.corner, self.goals
         both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
         return both[..., 0], both[..., 1:]

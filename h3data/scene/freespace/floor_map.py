@@ -1,4 +1,4 @@
-"""Geometry of the free floor as it is built and stored; `FreeSpace` answers questions about it."""
+"""Geometry of the free floor as it is built and stored; `FreeSpace` answers queries about it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FloorMap:
     """Height of the floor [m]; of the lowest storey where there are several."""
     radius_m: float
     height_m: float
-    """Obstacles count from ``max_climb_m`` to ``height_m`` above the floor."""
+    """Height above the floor up to which obstacles count, from ``max_climb_m`` on [m]."""
     max_climb_m: float
     cell_m: float
     """Side of a cell of ``sdf`` [m]."""

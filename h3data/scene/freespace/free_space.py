@@ -46,7 +46,7 @@ class FreeSpace(FloorMap):
 
     @classmethod
     def from_map(cls, floor: FloorMap, lattice: Lattice | None = None) -> FreeSpace:
-        """Return the free space with the geometry of ``floor``, and its lattice where that is known already."""
+        """Return the free space with the geometry of ``floor``, and its lattice if that is known already."""
         space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
         if lattice is not None:
             # where `cached_property` keeps it, so that it is not built again
@@ -91,7 +91,7 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
     def as_in(self, scene: Scene, *, radius_m: float | None = None) -> FreeSpace:
-        """Return the floor for the same agent, or one of another radius, in a scene that is this home in another state."""
+        """Return the floor for the same agent, or one of another radius, in the same home with doors in another state."""
         return FreeSpace.from_scene(
             scene,
             radius_m=self.radius_m if radius_m is None else radius_m,
@@ -119,7 +119,7 @@ class FreeSpace(FloorMap):
         return floor_heights(self.heights, self.floor_y, points)
 
     def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
+        """Return the height [...] [m] of the surface under a foot at points [..., 2]: as `height_at`, but stairs have steps."""
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
     def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
@@ -156,15 +156,17 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
+        """Return the gradient [..., 2] of `signed_distance`, which points away from the nearest obstacle, length about 1."""
         return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Free way [...] [m] between the rim of the agent at points [..., 2] and the nearest obstacle; negative: overlap."""
+        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle; negative: overlap."""
         return self.signed_distance(points) - self.radius_m
 
     def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
-        """Distance [..., R] [m], at most ``max_m``, from points [..., 2] along headings [..., R] [rad] to an obstacle.
+        """Return the distance [..., R] [m] from points [..., 2] along headings [..., R] [rad] to an obstacle.
+
+        It is at most ``max_m``.
 
         That is what an ideal laser scanner measures in a plane. The outlines are those of the map: whatever stands in the
         way of an agent counts as solid between ``max_climb_m`` and ``height_m``.
@@ -198,7 +200,7 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: self.entries(snap_many, self.graph, p, float(max_distance_m)), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
-        """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""
+        """Sample free points [n, 2] of one island uniformly; each call takes 3 n random numbers, so streams stay aligned."""
         triangles, cumulative = self._triangles(island)
         # which triangle, and two coordinates in it
         u = rng.random((n, 3))
@@ -218,7 +220,7 @@ class FreeSpace(FloorMap):
         return each_pair(lambda p, q: self.entries(geodesic_many, self.graph, p, q, float(max_snap_m)), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Way points [k, 2] of the shortest path from a [2] to b [2], both ends (as moved) included; k = 0: no path.
+        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], with both ends (as moved); k = 0: no path.
 
         ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
         """
@@ -228,7 +230,7 @@ class FreeSpace(FloorMap):
     def next_waypoint(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> NDArray[np.float64]:
-        """Return the point [2] to walk towards from a [2] to get to b [2]; NaN when there is no path.
+        """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN when there is no path.
 
         With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
         """
@@ -237,7 +239,7 @@ class FreeSpace(FloorMap):
     def first_leg(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> tuple[float, NDArray[np.float64]]:
-        """`geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN when there is no path."""
+        """Return `geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN without a path."""
         (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
         length, x, z = self.entries(first_leg, self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
         return length, np.array([x, z])
@@ -249,7 +251,7 @@ class FreeSpace(FloorMap):
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """`geodesic` by look-ups in the lattice's table: within about 0.1 % (p95 below 1 %).
+        """Return `geodesic` by look-ups in the lattice's table: within about 0.1% (p95 below 1%).
 
         What a back end computes that can gather but not search (a GPU), as its reference; here `geodesic` is faster. Exact
         where the way is straight or shorter than 3 m. The table is built at the first call.
@@ -259,7 +261,7 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def lattice(self) -> Lattice:
-        """A lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
+        """Lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
         return build_lattice(self.graph, self.polygon.bounds, step=lattice_step(self.polygon.area))
 
     def _triangles(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

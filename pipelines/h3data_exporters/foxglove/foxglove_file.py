@@ -36,17 +36,17 @@ BLOCK_STEPS = 512
 Posed = Callable[[NDArray[np.integer]], Sequence[PosedPart]]
 """Function that poses all parts at some steps: ``lambda steps: posed_parts(replay, steps)``."""
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
-"""Steps, in their order, each with the sRGB picture [H, W, 3] of every camera."""
+"""Steps, in their order, with the sRGB picture [H, W, 3] of every camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoxgloveCamera:
-    """A camera that is shown."""
+    """A camera with its poses, for images and calibration."""
 
     camera: Camera
     """Intrinsics and name."""
     poses: Array
-    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
+    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of a static camera."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import numpy as np
 from h3data.geometry import Array, pose_inverse, pose_multiply, quat_from_axis_angle
 
 ROOT, WORLD = "map", "world"
-"""The root has +Z up, as viewers of these messages want it; the recording's world, +Y up, hangs in it."""
+"""Names of the root frame, with +Z up as viewers of these messages want it, and of the recording's world below it, with
++Y up."""
 _WORLD_IN_ROOT = np.concatenate([np.zeros(3), quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
 _MOVED = 1e-6
 """A frame is told of again when a coordinate [m] or quaternion component differs by more from what was told last."""
@@ -16,7 +17,7 @@ _WHOLE_NS = 1_000_000_000
 
 
 class FrameTree:
-    """Frames by index, each in the world or in one that was added before."""
+    """Frames by index, each in the world or in an earlier frame."""
 
     def __init__(self) -> None:
         self.names: list[str] = []

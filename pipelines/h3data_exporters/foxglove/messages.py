@@ -41,7 +41,7 @@ def stamp(time_ns: int) -> Timestamp:
 
 
 def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameTransforms:
-    """``(parent, child, pose7 of the child in its parent)`` of some frames."""
+    """Build the message of frames, given as ``(parent, child, pose7 of the child in its parent)``."""
     at = stamp(time_ns)
     return FrameTransforms(
         transforms=[
@@ -58,7 +58,7 @@ def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameT
 
 
 def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
-    """Return a GLB whose own frame, scaled, has a pose7 in the frame of its entity."""
+    """Return a GLB whose scaled frame has a pose7 in the frame of its entity."""
     across, up, along = scale
     size = Vector3(x=across, y=along, z=up)  # axes after the viewer's turn
     return ModelPrimitive(pose=_pose(pose_multiply(pose, _TURN)), scale=size, data=glb, media_type="model/gltf-binary")
@@ -73,13 +73,13 @@ def entity(
 
 
 def name_tag(text: str, height_m: float) -> TextPrimitive:
-    """Return a text above the origin of its entity, turned to whoever looks."""
+    """Return a text above the origin of its entity that always faces the viewer."""
     above = np.array([0, height_m, 0, 0, 0, 0, 1])
     return TextPrimitive(pose=_pose(above), billboard=True, font_size=_TAG_M, color=Color(a=1), text=text)
 
 
 def scene_update(entities: Sequence[SceneEntity]) -> SceneUpdate:
-    """Show these things."""
+    """Return the message that adds or removes entities of a scene."""
     return SceneUpdate(entities=entities)
 
 
@@ -100,7 +100,7 @@ def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float])
 
 
 def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> LaserScan:
-    """Return distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: nothing is met.
+    """Return distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: no hit.
 
     The plane's own frame has x forward, y left and z up.
     """

@@ -15,7 +15,7 @@ SHARED = 0.3
 
 
 def rigid_pieces(mesh: Mesh, skeleton: Skeleton) -> list[tuple[int, Mesh]]:
-    """``(joint, piece in the frame of that joint)`` for each joint that moves any triangle.
+    """Return ``(joint, piece in the frame of that joint)`` for each joint that moves any triangle.
 
     The mesh is cut in the first posture of the skeleton (at rest, if it is not there then): in that one the pieces
     together are the skinned mesh. In others a vertex that several joints move is off by as much as these disagree.

@@ -1,4 +1,4 @@
-"""Scene entities of a recording, which hang in frames, and the poses of those frames."""
+"""Scene entities of a recording, attached to frames, and the poses of those frames."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Group:
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
-        """Return whether there is something to say at a step."""
+        """Return whether the group has changed at a step, so that a message is needed."""
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:
-        """Message to publish at a step."""
+        """Return the message to publish at a step."""
         if self.there is None or self.there[step]:
             # one message object for all steps: its models may be megabytes
             for entity in self.entities:

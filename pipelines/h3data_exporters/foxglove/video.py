@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 
 KEY_FRAMES = 30
-"""Number of pictures from one key frame to the next: whoever jumps in time waits for one."""
+"""Number of pictures from one key frame to the next. After a jump in time, a viewer waits for one."""
 
 
 class PictureStream:

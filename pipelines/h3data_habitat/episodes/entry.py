@@ -1,4 +1,4 @@
-"""Habitat's episode files among the kinds of the group ``h3data.episode_files``."""
+"""Entry of Habitat's episode files in the group ``h3data.episode_files``."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ KEYS: dict[str, Any] = {
     "goal_receptacles": _Receptacles,
     "name_to_receptacle": dict[str, str],
 }
-"""Keys of an episode that we know, in Habitat's order, and their JSON types."""
+"""Known keys of an episode, in Habitat's order, and their JSON types."""
 
 _DECODERS = {key: msgspec.json.Decoder(kind) for key, kind in KEYS.items()}
 _FIELDS = {"rigid_objs": "rigid_objects"}
@@ -62,7 +62,7 @@ _BLOCK = 1000
 
 @dataclass
 class Notes:
-    """Odd things, counted by kind, each with the first place."""
+    """Irregularities, counted by kind, each with the first place."""
 
     path: Path
     strict: bool
@@ -76,7 +76,7 @@ class Notes:
         self.found[what] = (count + 1, first)
 
     def texts(self) -> tuple[str, ...]:
-        """Return one line for each kind of oddity, with its count and its first place."""
+        """Return one line for each kind of irregularity, with its count and its first place."""
         return tuple(f"{what}: {count} times, first at {first}" for what, (count, first) in self.found.items())
 
 
@@ -292,7 +292,7 @@ def _markers_json(markers: Sequence[Marker]) -> list[Any]:
 
 
 def encode_json(content: Any, where: str) -> bytes:
-    """Compact JSON of a value.
+    """Encode a value as compact JSON.
 
     Raises:
         InputError: it holds a number that is not finite, or a value that JSON does not know; the message names ``where``.

@@ -1,4 +1,4 @@
-"""Reads habitat-lab's pickled episode datasets (spec/habitat.md 6.5) without running anything that they name.
+"""Reading of habitat-lab's pickled episode datasets (spec/habitat.md 6.5) without running anything that they name.
 
 The file holds ``{all_transforms, idx_to_name, all_eps}`` with NumPy arrays.
 """

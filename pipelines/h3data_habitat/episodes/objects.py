@@ -1,4 +1,4 @@
-"""Objects that an episode adds to its scene, from their templates; a striped box stands in for one that is not here."""
+"""Objects that an episode adds to its scene, from their templates; a striped box replaces a missing one."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class ObjectSearch(NamedTuple):
     """Search for templates of objects."""
 
     dataset: str = ""
-    """Path of a ``*.scene_dataset_config.json`` whose object templates are asked first."""
+    """Path of a ``*.scene_dataset_config.json`` whose object templates are searched first."""
     paths: tuple[str, ...] = ()
-    """Habitat's ``additional_obj_config_paths``: as they stand, then below the asset folders."""
+    """Folders in Habitat's ``additional_obj_config_paths``: as they are, then below the asset folders."""
     assets: tuple[str, ...] = ()
     """Asset folders; empty: those of H3DATA_ASSETS."""
 

@@ -1,4 +1,4 @@
-"""Results of PARTNR's analysis about its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
+"""Results of PARTNR's analysis of its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
 
 from __future__ import annotations
 

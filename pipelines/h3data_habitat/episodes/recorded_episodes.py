@@ -1,4 +1,4 @@
-"""Starts, goals and way points of recorded episodes, to play them again or to write them into Habitat's files."""
+"""Starts, goals and waypoints of recorded episodes, to play them again or to write them into Habitat's files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from h3data.recording.task_episodes.stored_rearrangements import StoredRearrange
 
 
 def social_nav_of(recording: Recording) -> SocialNavEpisode:
-    """Starts and way points of a recorded episode, to run it again with another policy.
+    """Return the starts and waypoints of a recorded episode, to run it again with another policy.
 
     The person's goals are taken from ``episode.info["human_goals"]`` if they are there, else from the ``new_goal``
     events, which name them to the centimetre (``goals_within_m``).
@@ -109,7 +109,7 @@ def _goals(recording: Recording, human: int) -> tuple[Any, float]:
 
 
 def rearrangement_of(recording: Recording) -> StoredRearrangement:
-    """Objects, goals and starts of a recorded episode, to play it again with others.
+    """Return the objects, goals and starts of a recorded episode, to play it again with others.
 
     Raises:
         InputError: the recording is of another task, or lacks something.

@@ -1,4 +1,4 @@
-"""Things that open as Habitat's articulated objects: a URDF, an ``ao_config``, and an entry of the scene instance.
+"""Furniture that opens as Habitat's articulated objects: a URDF, an ``ao_config``, and an entry of the scene instance.
 
 All frames of the URDF have the axes of the thing (Y-up, as habitat-sim takes them), with every joint at 0; a part's frame is
 on its axis. Meshes are written in the frame of their link, scale included.
@@ -37,7 +37,7 @@ class ArticulatedExport:
         self._content, self._entry, self._key = content, entry, key
 
     def members(self, scene: Scene) -> set[str]:
-        """Instances that become links: of the bodies and the parts of things that open."""
+        """Return the instances that become links: of the bodies and the parts of things that open."""
         by_name = {i.name: i for i in scene.instances}
         found = {thing.base for thing in scene.articulations if thing.base}
         moved = (name for thing in scene.articulations for part in thing.parts for name in part.instances)

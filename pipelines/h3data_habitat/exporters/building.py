@@ -1,4 +1,4 @@
-"""The building of a home as habitat-sim is to see it: its parts as nodes of a GLB, without the roof."""
+"""Building of a home for habitat-sim: its parts as nodes of a GLB, without the roof."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CEILING_SLACK_M = 0.01
 
 
 def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh], list[GlbNode]]:
-    """Meshes, and the nodes that place them, with category, semantic id and layer in their ``extras["h3data"]``."""
+    """Return the meshes, and the nodes that place them, with category, semantic id and layer in ``extras["h3data"]``."""
     meshes: list[Mesh] = []
     shared: dict[str, int] = {}
     nodes = []
@@ -48,7 +48,7 @@ def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh],
 
 
 def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
-    """Return a triangle of 0.1 mm in a lower corner of the building: a stage has to draw something."""
+    """Return a triangle of 0.1 mm in a lower corner of the building, as a stage needs something to render."""
     corner = np.min([_world_box(scene, i)[0] for i in stage], axis=0)
     return Mesh(
         vertices=(corner + 1e-4 * np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0]])).astype(np.float32),

@@ -52,13 +52,13 @@ class WrittenEpisodes:
     """Result of writing an episode file."""
 
     config: Path
-    """The scene dataset."""
+    """Path of the scene dataset's config."""
     file: Path
     """File of the episodes."""
     episodes: int
     scenes: int
     left_out: tuple[str, ...]
-    """Recordings without steps."""
+    """Names of recordings without steps."""
 
 
 def write_habitat_episodes(

@@ -1,4 +1,4 @@
-"""Recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with what has no file of its own as GLB beside them.
+"""Recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with GLB files for bodies that have no file.
 
 The file holds what is drawn and nothing else: no times, names, actions or joint positions. Keyframe k is row k. Lists
 that are empty are left out, poses are written when they change, as habitat-sim does it.
@@ -36,7 +36,7 @@ from h3data_habitat.exporters.lights import replay_lights
 from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX
 
 DECIMALS = 7
-"""Number of decimals, as habitat-sim writes them; single precision has no more."""
+"""Number of decimals, as habitat-sim writes them; single precision holds no more."""
 CAMERA_PREFIX = "sensor_"
 """Prefix that habitat-sim's replay viewer expects before a camera's name."""
 
@@ -50,7 +50,7 @@ class GfxReplayFiles:
 
     path: Path
     assets: tuple[Path, ...]
-    """GLB files, named by the replay relative to its own folder."""
+    """GLB files, named in the replay relative to its own folder."""
     instances: int
     keyframes: int
 

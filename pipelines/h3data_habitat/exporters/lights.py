@@ -1,4 +1,4 @@
-"""Lights for habitat-sim under which its pictures of our homes look like ours.
+"""Lights for habitat-sim that make its pictures of our homes similar to ours.
 
 habitat-sim's ``material`` shader has no ambient light: what no light faces is black, ceilings above all. So there is one
 directional light along each axis, both ways, as strong as our renderer's light on a surface that faces it. The shader
@@ -17,7 +17,8 @@ from h3data.geometry import normalized
 from h3data.render.shade.shading import Light
 
 SHADER = "material"
-"""``shader_type`` of what we write: glTF's own materials. ``phong`` has no counterpart of roughness and shows spots."""
+"""Value of ``shader_type`` in exports: glTF's own materials. ``phong`` has no counterpart of roughness and shows
+spots."""
 _GAMMA = 2.2
 _AXES = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
 

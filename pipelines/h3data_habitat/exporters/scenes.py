@@ -1,4 +1,4 @@
-"""Our homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader gives back."""
+"""Homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader reads back."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
 _log = logging.getLogger(__name__)
 
 STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stairs", "railing", "stage"))
-"""Static instances of these categories are the building: Habitat's stage. All others become objects."""
+"""Categories of static instances that make up the building, Habitat's stage. All others become objects."""
 
 _AGENT_HEIGHT_M, _AGENT_RADIUS_M = 1.41, 0.25
 
@@ -56,8 +56,8 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
     "filterLedgeSpans": True,
     "filterWalkableLowHeightSpans": True,
 }
-"""habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7). Its JSON reader knows no ``includeStaticObjects``:
-who bakes a navmesh from these has to ask for furniture in Python (h3data docs habitat)."""
+"""Navmesh settings: habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7). Its JSON reader knows no
+``includeStaticObjects``, so furniture has to be requested in Python (h3data docs habitat)."""
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
@@ -132,7 +132,7 @@ class DatasetExport:
         return self.folder / f"scenes/{handle}.scene_instance.json", _add_scene(self._files, handle, scene)
 
     def add_object(self, scene: Scene, instance: Instance) -> str:
-        """File name of the object template of an instance that is in no scene of the dataset."""
+        """Add the template of an object that no scene of the dataset has, and return its file name."""
         asset = scene.assets[instance.asset]
         self._files.classes.setdefault(int(instance.semantic_id), asset.category)
         return (

@@ -1,4 +1,4 @@
-"""Recognises the agents of a gfx-replay by the names of its asset files, as the format does not name them."""
+"""Recognition of the agents of a gfx-replay by the names of its asset files, as the format does not name them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from h3data_habitat.gfx.fold import Life
 from h3data_habitat.limits import MAX_AGENTS, check_count, check_size
 
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
-"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Our own robots, which
-our exports name, say theirs; for the rest 0 is assumed."""
+"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). h3data's robots
+state theirs in exports; for the rest 0 is assumed."""
 
 PERSON_ROOT_PREFIX = "h3data_person_root_"
-"""User transforms of our own exports: before the number of a rig, habitat-lab's root of that person. The instance of a rig has
-the pose of its root bone, which also sways and tilts."""
+"""Prefix of user transforms in h3data's exports, before the number of a rig: habitat-lab's root of that person. The
+instance of a rig has the pose of its root bone, which also sways and tilts."""
 
 _ROBOT = re.compile(r"(^|/)robots?/([^/]+)/|(hab_spot_arm|hab_fetch|hab_stretch)")
 _HUMAN = re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$")
@@ -35,7 +35,7 @@ Kind = Literal["robot", "human"]
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """An agent as it was recognised; ``record`` goes into the episode's info."""
+    """An agent that was recognised; ``record`` goes into the episode's info."""
 
     record: dict[str, Any]
     warnings: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ def add_agents(
     *,
     roots: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
-    """Agents (robots first), bodies that name their agent, the agents' columns, and how each was recognised.
+    """Find the agents of a session, robots first, with their bodies and columns and the way each was recognised.
 
     A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows

@@ -1,4 +1,4 @@
-"""Folds the keyframes of a gfx-replay, which hold changes, into instances with lifetimes, poses and columns."""
+"""Conversion of the keyframes of a gfx-replay, which hold changes, to instances with lifetimes, poses and columns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from h3data_habitat.limits import MAX_BODIES, MAX_STEPS, check_count, check_size
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
-"""Limit of text about lights that is kept; a light takes 90 bytes."""
+"""Largest size of stored text about lights; a light takes 90 bytes."""
 
 
 @dataclass(eq=False)
@@ -29,7 +29,7 @@ class Updates:
     """Poses of one thing and the keyframes that wrote them: 32 bytes each, since a long file has millions of them."""
 
     steps: array[int] = field(default_factory=lambda: array("i"))
-    """Keyframes, not decreasing."""
+    """Numbers of the keyframes, not decreasing."""
     _values: array[float] = field(default_factory=lambda: array("f"))
     _tidy: bool = False
     """True if the values are pose7 already; before, they are x y z and w x y z."""
@@ -48,7 +48,7 @@ class Updates:
             self._values.extend(bone.r)
 
     def poses(self, bones: int = 1) -> NDArray[np.float32]:
-        """Poses (pose7) [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
+        """Return the poses (pose7) [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
 
         Files round to 4 decimals. A quaternion of 0 gives NaN. The result is a view: updates can neither be added nor
         removed while it is held.
@@ -110,7 +110,7 @@ class Life:
 
 @dataclass(eq=False)
 class Loaded:
-    """The load entries of one path."""
+    """Load entries of one path."""
 
     last: Load
     always_painted: bool = True
@@ -134,7 +134,7 @@ class Rig:
 
 @dataclass(eq=False)
 class Fold:
-    """The content of all keyframes, by instance."""
+    """Content of all keyframes, by instance."""
 
     steps: int = 0
     lives: list[Life] = field(default_factory=list)
@@ -146,7 +146,7 @@ class Fold:
     user: dict[str, Updates] = field(default_factory=dict)
     lights: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    """Counts of oddities, by description."""
+    """Counts of irregularities, by description."""
 
     def note(self, what: str) -> None:
         """Count an oddity."""

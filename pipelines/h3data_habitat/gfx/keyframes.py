@@ -1,4 +1,4 @@
-"""Reads the keyframes of a gfx-replay file one by one, as typed records.
+"""Reading of the keyframes of a gfx-replay file one by one, as typed records.
 
 The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Empty lists are left
 out, unknown members are ignored, and the enumeration ``type``, which changed over the years, is never used.
@@ -23,7 +23,7 @@ from h3data_habitat.json_files import not_json, truncated
 from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-"""Fits a float32 even after a product or two."""
+"""A number that fits a float32 even after a product or two."""
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
 Key = Annotated[int, msgspec.Meta(ge=0)]
@@ -142,7 +142,7 @@ class Keyframe(msgspec.Struct):
     rigUpdates: list[RigUpdate] = []
     userTransforms: list[UserTransform] = []
     lights: msgspec.Raw = msgspec.Raw()
-    """Text of a list of objects."""
+    """JSON text of the list of lights."""
     lightsChanged: bool = False
 
 
@@ -155,16 +155,16 @@ class _File(msgspec.Struct):
 
 
 KEYFRAME_BYTES = 64 << 20
-"""Limit of one keyframe, and of everything after the keyframes."""
+"""Largest size of one keyframe, and of everything after the keyframes."""
 WHOLE_BYTES = 256 << 20
-"""Limit of files that do not begin with their keyframes, which are read as a whole."""
+"""Largest size of files that do not begin with their keyframes, which are read as a whole."""
 
 _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
 _OPENING_BYTES = 4096
 
 
 class Undecodable(Exception):
-    """Text of a file that cannot be decoded as what belongs there.
+    """Text of a file that cannot be decoded as the expected type.
 
     `explain` makes an error for users of it.
     """
@@ -271,7 +271,7 @@ def _decoded(text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0)
 
 # --- faults -----------------------------------------------------------------------------------------------------------
 def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
-    """Return the error that says where and why a file is not a gfx-replay, and what else it looks like."""
+    """Return the error that states where and why a file is not a gfx-replay, and its probable format."""
     if isinstance(fault, ArrayFault):
         if str(fault) == "truncated":
             return truncated(path, fault.at)

@@ -1,4 +1,4 @@
-"""Reads Habitat's gfx-replay files as recordings."""
+"""Reading of Habitat's gfx-replay files as recordings."""
 
 from __future__ import annotations
 

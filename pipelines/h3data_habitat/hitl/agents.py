@@ -1,4 +1,4 @@
-"""Tells robots and people in a HITL log apart and poses them; the log holds only the roots of their bodies.
+"""Distinction and posing of robots and people in a HITL log, which holds only the roots of their bodies.
 
 Frames of the logged roots (spec/habitat.md 0): a robot's has x forward, y up, z right and is its base link; a person's is
 the SMPL-X pelvis with z forward, y up, x left.
@@ -29,7 +29,8 @@ AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]
 
 LEVEL_RAD = 2e-3
-"""A robot's base only rotates about the vertical; a walking or standing person's pelvis tilts by more than this."""
+"""Tilt above which a root is not a robot's: a base only rotates about the vertical, a person's pelvis tilts more
+[rad]."""
 _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("lift_arm", 0.0)}
 """Built-in model that stands in for each of Habitat's robots, and the height of its base link over the floor [m]."""
 
@@ -43,15 +44,15 @@ class AgentTrack:
     grasp_id: NDArray[np.int64]
     """Id of the held object, -1 = none, shape [T]."""
     joints: Array | None = None
-    """People with a logged posture: local rotations [T, 54, 4] as logged, any joint order."""
+    """Local rotations [T, 54, 4] as logged, any joint order, of people with a logged posture."""
     base: Array | None = None
-    """People with a logged posture: pose7 of the agent root at the floor, shape [T, 7]."""
+    """Pose (pose7) of the agent root at the floor, shape [T, 7], of people with a logged posture."""
     action: NDArray[np.float32] | None = None
     """Low-level action, shape [T, A]."""
 
 
 def tilt_rad(roots: Array) -> float:
-    """Median angle between the y axes of roots [T, 7] and the vertical; 0 without any finite root."""
+    """Return the median angle between the y axes of roots [T, 7] and the vertical; 0 without any finite root."""
     known = roots[np.isfinite(roots).all(1)]
     if not len(known):
         return 0.0
@@ -85,7 +86,7 @@ def add_agents(
     robot: str,
     joint_order: JointOrder | None = None,
 ) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:
-    """Agents, their columns except held bodies, and for each agent what was recorded and what is made up.
+    """Find the agents of a session, with their columns and notes on which parts were recorded and which are assumed.
 
     Robots are shown by a built-in model in its resting posture. People with a logged posture keep it, on the built-in
     body whose feet come nearest to the floor with it; for the others a walk is synthesised from the path of their root.

@@ -1,4 +1,4 @@
-"""Shared by both generations of HITL logs: objects, metrics, and the assembly of a recording."""
+"""Code for both generations of HITL logs: objects, metrics, and the assembly of a recording."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
 def object_bodies(
     names: Sequence[str], tracks: Sequence[NDArray[np.float64]]
 ) -> tuple[list[AssetRef], list[Body], dict[str, NDArray[Any]]]:
-    """Assets, bodies and the column ``object_pose`` of the objects that a task moves.
+    """Return the assets, bodies and the column ``object_pose`` of the objects that a task moves.
 
     A handle ``can_:0000`` is an instance of the template ``can``, which is searched under that name; names without a
     number come from logs that have ids only.
@@ -132,7 +132,7 @@ def object_bodies(
 
 
 def scalar_columns(rows: Sequence[Mapping[str, Any] | None], prefix: str) -> tuple[dict[str, NDArray[Any]], list[str]]:
-    """Columns ``<prefix><name>`` of the numbers in dicts, one dict per step, and warnings.
+    """Return the columns ``<prefix><name>`` of the numbers in dicts, one dict per step, and warnings.
 
     Nested names are joined by dots. float32 with NaN where a step lacks it; bool if every step has True or False.
     """
@@ -168,7 +168,7 @@ def _leaves(row: Mapping[str, Any], at: str, depth: int) -> Iterable[tuple[str, 
 
 @dataclass(kw_only=True, eq=False)
 class HitlEpisode:
-    """The parts of a log in our terms; `recording` assembles them."""
+    """Parts of a log in h3data's terms; `recording` assembles them."""
 
     path: Path
     data: bytes

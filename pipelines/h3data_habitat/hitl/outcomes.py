@@ -62,7 +62,7 @@ def at_goal(goals: Any, tracks: Sequence[NDArray[np.float64]]) -> tuple[NDArray[
 
 
 def max_steps(config: Any) -> dict[str, int]:
-    """``{"max_steps": E}`` if a session's configuration sets the longest episode (``habitat.environment``), else empty."""
+    """Return ``{"max_steps": E}`` if a session's configuration limits episodes (``habitat.environment``), else {}."""
     for key in ("habitat", "environment", "max_episode_steps"):
         config = config.get(key) if isinstance(config, dict) else None
     return {"max_steps": config} if type(config) is int and 0 < config < 10**9 else {}

@@ -1,4 +1,4 @@
-"""Reads logs of the paper's HITL tool: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
+"""Reading of logs of the paper's HITL tool: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ from h3data_habitat.safe_pickle import is_pickle
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)
 PERSON_VALUES = JOINT_VALUES + 32
-"""A person's action: 54 quaternions xyzw, then two 4x4 matrices, column by column: offset and base."""
+"""Number of values of a person's action: 54 quaternions xyzw, then two 4x4 matrices, column by column: offset and
+base."""
 
 
 class AgentState(msgspec.Struct):

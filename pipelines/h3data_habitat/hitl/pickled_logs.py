@@ -1,4 +1,4 @@
-"""Reads the pickled form of paper-era HITL logs as JSON; nothing in it is executed.
+"""Reading of the pickled form of paper-era HITL logs as JSON; nothing in it is executed.
 
 Such a pickle names omegaconf's containers, magnum's vectors and a few of Python's types (spec/habitat-findings.md 10).
 Stand-ins take their place, which keep what the file says.

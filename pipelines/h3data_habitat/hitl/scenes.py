@@ -1,4 +1,4 @@
-"""The home of a HITL session: found below the user's folders, or replaced by a marked floor."""
+"""Home of a HITL session: found below the user's folders, or replaced by a marked floor."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Place:
 
 
 def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -> Place:
-    """Scene that a log names by ``scene_id``.
+    """Return the scene that a log names by ``scene_id``.
 
     It is attached if its file is in a root of the library; otherwise a striped floor at the height ``floor_y`` [m]
     under the agents' feet replaces it.

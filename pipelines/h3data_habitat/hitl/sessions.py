@@ -1,4 +1,4 @@
-"""Reads episodes of habitat-lab's ``rearrange_v2`` HITL sessions, and of PARTNR in the same format (spec/habitat.md 5.3)."""
+"""Reading of habitat-lab's ``rearrange_v2`` HITL sessions, and PARTNR's in the same format (spec/habitat.md 5.3)."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def read_hitl_episode(
 
 
 def upright_order(roots: Sequence[NDArray[np.float64]]) -> Order:
-    """Return the order of the quaternions of agents' roots [T, 7]: in the wrong one agents lie or stand on their heads."""
+    """Return the order of the quaternions of agents' roots [T, 7] in which agents stand upright."""
     tracks = [r[np.isfinite(r).all(1), 3:] for r in roots]
     quats = normalized(np.concatenate(tracks)) if tracks else np.zeros((0, 4))
     if not len(quats):

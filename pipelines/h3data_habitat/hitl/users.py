@@ -35,7 +35,7 @@ def without_user_ids(document: Any, *, key: bytes | None = None, depth: int = 0)
 def participation(
     users: Sequence[Any], agent_of_user: Mapping[Any, Any] | Any, people: Sequence[int]
 ) -> dict[str, Any]:
-    """``participant``, ``participants``, ``condition`` and ``experiment`` for `Episode.info`, as far as the session tells.
+    """Return ``participant``, ``participants``, ``condition`` and ``experiment`` for `Episode.info`, as far as known.
 
     Args:
         users: The session's users, after `without_user_ids`.

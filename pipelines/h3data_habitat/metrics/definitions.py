@@ -1,4 +1,4 @@
-"""Definitions of what habitat-lab's measures emit, under its own keys (misspellings included)."""
+"""Definitions of the measures of habitat-lab, by its own keys (misspellings included)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 from h3data.metrics.metric import INF, Direction, Metric
 
 TRANSFORM = "habitat.robot_transform"
-"""Optional column: the robot's root transform in habitat-sim, float32 [T, 4, 4], translation in the last column."""
+"""Name of an optional column: the robot's root transform in habitat-sim, float32 [T, 4, 4], translation in the last
+column."""
 _FOUND = ("agent_<robot>.base_pose", "agent_<human>.base_pose", "metrics.geodesic_agents")
 _POSES = _FOUND[:2]
 _SHORTEST = (

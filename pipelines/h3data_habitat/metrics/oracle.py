@@ -1,4 +1,4 @@
-"""The oracle's minimum steps ``l`` of SPS and F, as Habitat's code computes them with a greedy robot.
+"""Minimum steps ``l`` of the oracle in SPS and F, computed with a greedy robot as in Habitat's code.
 
 At each step i Habitat simulates a robot from the episode's start to the current position of the human: it turns on the spot
 until the next waypoint is within 0.1 rad, else drives. l is the first i for which this takes at most i steps. The motion is
@@ -26,7 +26,7 @@ from h3data.geometry import heading_from_quat
 REACH_M, FACING = 2.0, 0.5
 TURN_ONLY_M, AIM_RAD = 0.2, 0.1
 LONGEST = 1501
-"""Steps after which Habitat's loop gives up and returns this number."""
+"""Number of steps after which Habitat's loop gives up and returns this number."""
 
 
 class Paths(Protocol):

@@ -1,4 +1,4 @@
-"""The profiles ``habitat`` and ``habitat@0.3.0``: the values that habitat-lab would have printed for a recording.
+"""Profiles ``habitat`` and ``habitat@0.3.0``: the values that habitat-lab would have printed for a recording.
 
 Row 0 of the recording stands for Habitat's reset, which it counts as step 1. The arithmetic is in
 `h3data_habitat.metrics.stats` and `h3data_habitat.metrics.reward`; tests/metrics/test_habitat.py compares it with outputs of
@@ -41,7 +41,7 @@ _ORACLE_RATE = {MAIN: "60", PAPER_RELEASE: "120"}
 
 
 def compute_habitat(recording: Recording, notes: Notes, *, metrics: tuple[Metric, ...], variant: str) -> Computed:
-    """Compute the last values of Habitat's measures and the sums of its rewards."""
+    """Compute the final values of Habitat's measures and the sums of its rewards."""
     robot, human = find_agents(recording)
     missing = note_missing(metrics, recording, notes)
     names = [m.name for m in metrics]

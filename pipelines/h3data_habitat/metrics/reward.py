@@ -19,16 +19,16 @@ MAIN, PAPER_RELEASE = "habitat", "habitat@0.3.0"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskTrack:
-    """Inputs of the rewards beside positions; every array [T]."""
+    """Inputs of the rewards besides positions; every array is [T]."""
 
     collides: NDArray[np.bool_]
-    """Robot and human touch."""
+    """True if robot and human touch."""
     collisions: NDArray[np.integer]
-    """Collisions of the robot with anything up to each step."""
+    """Number of collisions of the robot with anything up to each step."""
     has_found: NDArray[np.bool_]
-    """``has_found_human`` of the statistics."""
+    """Value of ``has_found_human`` in the statistics."""
     goal_pos: NDArray[np.float64] | None = None
-    """The task's navigation goal [3], if known."""
+    """Position of the task's navigation goal [3], if known."""
 
 
 def goal_errors(track: HabitatTrack, goal_pos: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -27,7 +27,8 @@ class HabitatTrack:
     """Positions of the base [T, 3] [m]."""
     human_pos: NDArray[np.float32]
     robot_transform: NDArray[np.float32]
-    """World from the robot's root frame (x forward, y up), shape [T, 4, 4], translation in the last column."""
+    """Matrix from the robot's root frame (x forward, y up) to the world, shape [T, 4, 4], translation in the last
+    column."""
     geodesic: NDArray[np.floating]
     """Shortest path from robot to human [m], inf if there is none, shape [T]."""
 

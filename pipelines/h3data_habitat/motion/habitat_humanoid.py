@@ -22,9 +22,9 @@ from h3data.errors import InputError
 from h3data.geometry import Array, normalized, pose_from_matrix, quat_to_matrix
 
 MIN_TURN_DEG = 5.0
-"""Directions nearer than this are taken at once."""
+"""Angle below which a new direction is taken at once."""
 TURN_STEP_DEG = 20.0
-"""Largest turn per step, and the turn from which on nobody advances, unless speeds were given."""
+"""Largest turn per step, and the turn above which people do not advance, unless speeds were given."""
 STOP_M = 1e-9
 DIRECTIONAL_STOP_M = 1e-5
 DIRECTIONAL_FPS = 30.0
@@ -69,15 +69,15 @@ class ReachGrid:
     """Poses in which one hand is at the points of a grid, relative to the base, axes left, up, forward."""
 
     joints: Array
-    """Shape [K, 54, 4], point (x, y, z) at row y * nx * nz + x * nz + z."""
+    """Joint rotations of the poses, shape [K, 54, 4]: point (x, y, z) is row y * nx * nz + x * nz + z."""
     roots: Array
     """Root transforms of the poses, shape [K, 4, 4]."""
     low: Array
     """Position of the first grid point, shape [3] [m]."""
     high: Array
-    """Last grid point, shape [3] [m]."""
+    """Position of the last grid point, shape [3] [m]."""
     bins: tuple[int, int, int]
-    """Points per axis."""
+    """Number of points per axis."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +111,7 @@ _WITHOUT_FORWARD = np.array([1.0, 1.0, 0.0])
 
 
 def base_matrix(position: ArrayLike, forward: ArrayLike) -> Array:
-    """Base frame [4, 4] at ``position`` [3] that looks along the horizontal unit vector ``forward`` [3]."""
+    """Return the base frame [4, 4] at ``position`` [3] that looks along the horizontal unit vector ``forward`` [3]."""
     x, y, z = np.asarray(forward, np.float64)
     matrix = np.eye(4)
     matrix[:3] = np.stack([[x, y, z], [z, 0, -x], [0, 1, 0], np.asarray(position, np.float64)], axis=1)
@@ -119,7 +119,7 @@ def base_matrix(position: ArrayLike, forward: ArrayLike) -> Array:
 
 
 class HabitatHumanoid:
-    """Walks, turns and reaches exactly as habitat-lab's ``HumanoidRearrangeController`` (main) does.
+    """Humanoid that walks, turns and reaches exactly as habitat-lab's ``HumanoidRearrangeController`` (main).
 
     After each call ``joints`` [54, 4] (order `HABITAT_JOINTS`), ``offset`` [4, 4] and ``base`` [4, 4] hold what
     habitat-lab puts into its ``humanoidjoint_action``, `root` where the pelvis is, `columns` what recordings store.
@@ -165,7 +165,7 @@ class HabitatHumanoid:
         self.reset(base_matrix((0, HUMAN_ROOT_HEIGHT_M, 0), (1, 0, 0)))
 
     def reset(self, base: ArrayLike) -> None:
-        """Stand at a base frame [4, 4]; the walk goes on at the frame where it was."""
+        """Stand at a base frame [4, 4]; the gait continues at its last frame."""
         self.base = np.array(base, np.float64)
         self.offset = np.eye(4)
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
@@ -173,7 +173,7 @@ class HabitatHumanoid:
 
     # --- commands ---------------------------------------------------------------------------------------------------
     def stop(self) -> None:
-        """The standing pose, where the base is."""
+        """Take the standing pose, where the base is."""
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
 
     def turn(self, target: ArrayLike) -> None:
@@ -281,7 +281,7 @@ class HabitatHumanoid:
         return min(first, len(self._displacement) - 1)
 
     def reach(self, position: ArrayLike, hand: Hand = "right") -> None:
-        """Put a hand at a world position [3] [m], as far as the stored poses go (spec/habitat.md 3.5).
+        """Move a hand to a world position [3] [m], within the range of the stored poses (spec/habitat.md 3.5).
 
         Positions outside the grid are clamped without a word, as Habitat does; `h3data.bodies.people.reach` answers instead.
         """
@@ -316,12 +316,12 @@ class HabitatHumanoid:
         return self.base @ np.linalg.inv(_BASE_OF_ROOT) @ self.offset
 
     def columns(self) -> tuple[Array, Array]:
-        """Pelvis pose7 in the world [7] and local rotations [54, 4] in SMPL-X order: a recording's free-form pose."""
+        """Return the pelvis pose7 in the world [7] and local rotations [54, 4] in SMPL-X order, as recordings store poses."""
         return pose_from_matrix(self.root), self.joints[self._order]
 
 
 def reach_coordinates(base: ArrayLike, position: ArrayLike) -> Array:
-    """Return a world position [3] relative to a base frame [4, 4]: left, up, forward [m], as the reach grids have it."""
+    """Return a world position [3] relative to a base frame [4, 4]: left, up, forward [m], as in the reach grids."""
     matrix = np.asarray(base, np.float64)
     return _REACH_OF_BASE[:3, :3] @ matrix[:3, :3].T @ (np.asarray(position, np.float64) - matrix[:3, 3])
 
@@ -372,7 +372,9 @@ def _within_half_turn(degrees: float) -> float:
 
 
 def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Array, Array]:
-    """Joints [54, 4] and offset [4, 4] of one frame of a sequence, as ``HumanoidSeqPoseController`` (spec/habitat.md 3.3).
+    """Return the joints [54, 4] and offset [4, 4] of one frame of a sequence.
+
+    Source: ``HumanoidSeqPoseController`` (spec/habitat.md 3.3).
 
     ``start`` [4, 4] is the base frame in which the sequence begins. The offset holds the way since then *and* the place
     of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not start at the world's origin

@@ -18,7 +18,7 @@ HANDS: tuple[Hand, ...] = ("left", "right")
 
 
 def read_habitat_motion(path: str | Path) -> HabitatMotion:
-    """Walk, standing pose and reaching poses of a motion file (spec/habitat.md 3.2). Nothing in it is executed.
+    """Read the walk, standing pose and reaching poses of a motion file (spec/habitat.md 3.2). Nothing in it is executed.
 
     Raises:
         FormatError: it is something else or damaged; a pickle asks for more than arrays.

@@ -1,4 +1,4 @@
-"""Habitat's pick and place of a humanoid, step for step: its hand runs to the object and back (spec/habitat.md 2.4)."""
+"""Habitat's pick and place of a humanoid, step for step: its hand moves to the object and back (spec/habitat.md 2.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SNAP_M = 0.02
 
 
 class HabitatPick:
-    """habitat-lab's ``HumanoidPickAction`` (main): `step` moves the hand of a `HabitatHumanoid` and says what it lets happen.
+    """Action of habitat-lab's ``HumanoidPickAction`` (main): `step` moves the hand of a `HabitatHumanoid`.
 
     Its slip is kept: the hand goes ``int(distance / HAND_STEP_M)`` steps, so where the remainder is `SNAP_M` or more it
     stops short and never takes hold (8 of 14 recorded runs). Our own people pick by `h3data.bodies.people.reach`.
@@ -32,12 +32,12 @@ class HabitatPick:
         """True if the last `step` ended a pick or place."""
 
     def reset(self) -> None:
-        """A new episode: the hand is where it starts."""
+        """Begin a new episode with the hand where it starts."""
         self.steps = 0
         self.done = False
 
     def step(self, position: ArrayLike, *, pick: bool, holding: bool) -> Literal["take", "put"] | None:
-        """Move the hand once; the person's pose is then that of this step.
+        """Move the hand by one step; the person's pose is then that of this step.
 
         Args:
             position: Position of the object, or of its destination, shape [3] [m] in the world.

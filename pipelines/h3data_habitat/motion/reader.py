@@ -1,4 +1,4 @@
-"""Motion of Habitat's humanoids as motion of ours: an entry point of the group ``h3data.motions``."""
+"""Conversion of motion of Habitat's humanoids: an entry point of the group ``h3data.motions``."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Navigation meshes as habitat-sim stores and walks them."""
+"""Navigation meshes: files and queries as in habitat-sim."""

@@ -18,11 +18,11 @@ REACH_M = np.array([2.0, 4.0, 2.0])
 VISITED_MAX = 256
 """Largest number of polygons that one step visits (Detour: 64, but a `FreeSpace` in triangles has more and smaller ones)."""
 SEARCH_SLACK_M = 0.001
-"""A step looks this much beyond the circle around start and end, as Detour's moveAlongSurface."""
+"""Distance beyond the circle around start and end in which a step searches, as Detour's moveAlongSurface [m]."""
 TOUCH_M = 1e-6
-"""A point this near to an edge is in the polygons of both sides."""
+"""Distance from an edge below which a point is in the polygons of both sides [m]."""
 SQUARE_SLACK = 1e-9
-"""Room for rounding [m2] where polygons are left out that are too far away to be nearest."""
+"""Tolerance for rounding [m2] when polygons are discarded that are too far away to be nearest."""
 ON_WALL_M = 1e-9
 """Distance below which a point lies on a wall [m]."""
 ANGLE_EPS = 1e-9
@@ -47,12 +47,12 @@ class Surface(NamedTuple):
     triangle_start: NDArray[np.int32]
     """First triangle of each polygon, shape [P + 1]."""
     triangle: NDArray[np.float64]
-    """Ground under each polygon, shape [T, 3, 3] [m]."""
+    """Triangles of the ground under each polygon, shape [T, 3, 3] [m]."""
     climb: NDArray[np.float64]
-    """Largest vertical distance from a point to a polygon that it counts as touching, shape [1] [m]."""
+    """Largest vertical distance between a point and a polygon that it touches, shape [1] [m]."""
     bucket_first: NDArray[np.int32]
-    """Polygons that touch bucket (i, j) are ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``,
-    shape [bx, bz]."""
+    """First entry of each bucket, shape [bx, bz]: bucket (i, j) has the polygons ``bucket_polygon[bucket_first[i,
+    j]:bucket_first[i, j] + bucket_count[i, j]]``."""
     bucket_count: NDArray[np.int32]
     bucket_polygon: NDArray[np.int32]
     bucket: NDArray[np.float64]
@@ -62,14 +62,14 @@ class Surface(NamedTuple):
     node: NDArray[np.float64]
     """Points at which a path may bend, (x, y, z), shape [n, 3]."""
     node_polygon: NDArray[np.int32]
-    """A polygon with that corner, shape [n]."""
+    """Number of a polygon that has the node as a corner, shape [n]."""
     node_side: NDArray[np.float64]
-    """The wall corners (x, z) before and after each node, shape [n, 4]."""
+    """Wall corners (x, z) before and after each node, shape [n, 4]."""
     link_start: NDArray[np.int64]
-    """Links of node i are ``link_start[i]:link_start[i + 1]``, shape [n + 1]."""
+    """First link of each node, shape [n + 1]: node i has the links ``link_start[i]:link_start[i + 1]``."""
     link_node: NDArray[np.int64]
     link_length: NDArray[np.float64]
-    """Length in space [m]."""
+    """Length of each link in space [m]."""
 
 
 @kernel(error_model="numpy")
@@ -363,7 +363,7 @@ def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> t
 
 @kernel(error_model="numpy")
 def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> int:
-    """Polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
+    """Return the polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     if p < 0 or abs(ny - y) > delta or np.hypot(nx - x, nz - z) > 1e-2:
         return -1

@@ -1,4 +1,4 @@
-"""Build the arrays of a navmesh's walking surface: orientation, buckets, and the corners where paths bend."""
+"""Construction of a navmesh's walking surface: orientation, buckets, and the corners where paths bend."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ BUCKET_M = 0.5
 """Side of a bucket of polygons; larger where a mesh would have more than `BUCKETS_MAX` on a side."""
 BUCKETS_MAX = 512
 STRAIGHT_SINE = 0.1
-"""Wall corners that turn inwards by less than this are nodes too: from a point a hair outside a wall, the next corner of
-the wall is all that can be seen along it."""
+"""Sine of the inward turn below which a wall corner is a node too: from a point a hair outside a wall, only the next
+corner of the wall is visible along it."""
 
 
 def build_surface(navmesh: NavMesh) -> Surface:
-    """Polygons of a navmesh that can be walked on, without path graph (see `with_graph`).
+    """Build the surface of the polygons of a navmesh that can be walked on, without path graph (see `with_graph`).
 
     Polygon k of the surface is the k-th of `NavMesh.enabled`.
     """

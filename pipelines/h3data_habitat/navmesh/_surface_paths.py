@@ -52,7 +52,7 @@ def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray)
 
 @kernel()
 def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: float, tz: float, seen: NDArray) -> bool:
-    """Mark the nodes that are seen from (x, z), bool [n], and say whether (tx, tz) in polygon ``target`` is.
+    """Mark the nodes that are visible from (x, z), bool [n], and return whether (tx, tz) in polygon ``target`` is.
 
     Triangular expansion (Bungiu et al. 2014) on convex polygons: a cone of view is narrowed by every edge it goes through.
     """
@@ -128,7 +128,7 @@ def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
 
 @kernel()
 def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
-    """Links between nodes that see each other and are taut at both ends: (start int64 [n + 1], node int64 [links])."""
+    """Link nodes that see each other and are taut at both ends: (start int64 [n + 1], node int64 [links])."""
     n = len(surface.node)
     start = np.zeros(n + 1, np.int64)
     links = np.empty(max(16 * n, 1), np.int64)
@@ -220,7 +220,7 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
 
 @kernel()
 def way(surface: Surface, a: NDArray, b: NDArray) -> tuple[float, NDArray]:
-    """`shortest` between the points of the surface nearest to a [3] and b [3]."""
+    """Return `shortest` between the points of the surface nearest to a [3] and b [3]."""
     first, ax, ay, az = nearest(surface, a[0], a[1], a[2], -1)
     last, bx, by, bz = nearest(surface, b[0], b[1], b[2], -1)
     if first < 0 or last < 0:

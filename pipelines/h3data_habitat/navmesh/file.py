@@ -16,18 +16,18 @@ from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings
 SET_MAGIC = 0x4D534554
 TILE_MAGIC = 0x444E4156
 SET_VERSIONS = (1, 2)
-"""Version 2 has the settings; Habitat writes it."""
+"""Versions of the file that can be read; version 2, which Habitat writes, has the settings."""
 TILE_VERSION = 7
 BYTES_MAX = 1 << 30
-"""A larger file is refused: real ones have some kilobytes."""
+"""Largest size of a file; real ones have some kilobytes."""
 COORDINATE_MAX = 1e6
-"""Coordinates beyond this [m] are damage, and would overflow in products."""
+"""Largest coordinate [m]; larger ones are damage, and would overflow in products."""
 OFF_MESH = 1
-"""Type of polygons that stand for a jump link; Habitat writes none."""
+"""Type of polygons that represent a jump link; Habitat writes none."""
 EXTERNAL = 0x8000
 """Bit of a neighbour that lies in another tile."""
 EDGE_BOUNDARY = 1
-"""Detail triangles mark (two bits per edge) which edges lie on the border of their polygon."""
+"""Bits of detail triangles, two per edge, that mark edges on the border of their polygon."""
 
 _VERTEX = np.dtype("<f4")
 _POLYGON = np.dtype(

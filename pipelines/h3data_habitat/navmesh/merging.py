@@ -16,8 +16,8 @@ from shapely.geometry import MultiPolygon, Polygon
 CORNERS_MAX = 6
 """Number of corners of a Detour polygon (``DT_VERTS_PER_POLYGON``)."""
 OUTLINE_M = 0.03
-"""Distance by which outlines may move: a corner of an obstacle is rounded by a dozen points, and Recast's voxels are 0.05 m
-wide."""
+"""Distance by which outlines may move [m]: a corner of an obstacle is rounded by a dozen points, and Recast's voxels
+are 0.05 m wide."""
 _STRAIGHT = 1e-9
 
 
@@ -34,7 +34,7 @@ def plain_outline(area: MultiPolygon) -> MultiPolygon:
 
 
 def merged_polygons(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> list[list[int]]:
-    """Convex polygons of at most `CORNERS_MAX` corners that cover the triangles, as lists of vertices.
+    """Merge triangles into convex polygons of at most `CORNERS_MAX` corners, as lists of vertices.
 
     Greedy, longest shared edge first: what Recast's ``mergePolyMeshPolys`` does.
 

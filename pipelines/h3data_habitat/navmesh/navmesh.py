@@ -20,14 +20,14 @@ from h3data.scene.freespace.free_space import FreeSpace
 from h3data_habitat.navmesh.merging import CORNERS_MAX, merged_polygons, plain_outline
 
 ZERO_AREA_M2 = 1e-5
-"""Habitat disables polygons smaller than this: its queries would fail on them (spec/habitat.md 6.7)."""
+"""Area below which Habitat disables polygons, as its queries would fail on them (spec/habitat.md 6.7) [m2]."""
 DISABLED = 4
-"""Bit of ``flags``: not to be walked on."""
+"""Bit of ``flags`` that marks polygons that cannot be walked on."""
 SLIT_M = 3e-4
-"""Half the width that a wall without thickness gets, so that no path goes through: more than the 0.1 mm that the
-blocking edges of a `FreeSpace` lie outside its area."""
+"""Half the width of walls without thickness, so that no path goes through [m]: more than the 0.1 mm that the blocking
+edges of a `FreeSpace` lie outside its area."""
 CELLS_MAX = 50_000_000
-"""Largest distance grid (200 MB): larger ones are refused."""
+"""Largest number of cells of a distance grid (200 MB)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class NavMeshSettings:
     agent_radius: float = 0.1
     agent_max_climb: float = 0.2
     agent_max_slope: float = 45.0
-    """Steeper ground cannot be walked on [degrees]."""
+    """Largest slope of ground that can be walked on [degrees]."""
     region_min_size: float = 20.0
     region_merge_size: float = 20.0
     edge_max_len: float = 12.0
@@ -70,7 +70,7 @@ class NavMesh:
     polygon_start: NDArray[np.int32]
     """First corner of each polygon, shape [P + 1]."""
     polygon_vertices: NDArray[np.int32]
-    """Vertex of each corner, shape [S]."""
+    """Index of the vertex at each corner, shape [S]."""
     polygon_neighbours: NDArray[np.int32]
     """Polygon beyond the edge from each corner to the next of its polygon, -1 at a wall, shape [S]."""
     areas: NDArray[np.uint8]
@@ -78,7 +78,7 @@ class NavMesh:
     flags: NDArray[np.uint16]
     """Flags of each polygon: 1 walk, 2 door, 4 disabled, shape [P]."""
     detail_start: NDArray[np.int32]
-    """Detail triangles of polygon p are ``detail_start[p]:detail_start[p + 1]``, shape [P + 1]."""
+    """First detail triangle of each polygon, shape [P + 1]: polygon p has ``detail_start[p]:detail_start[p + 1]``."""
     detail_triangles: NDArray[np.float32]
     """Triangles of the same ground with finer heights, shape [T, 3, 3] [m]."""
     bounds: NDArray[np.float32]
@@ -134,7 +134,7 @@ class NavMesh:
         return np.flatnonzero(self.islands == island)
 
     def triangles(self, *, island: int | None = None) -> NDArray[np.float32]:
-        """Detail triangles [T, 3, 3] [m] of the polygons that can be walked on, or of one island."""
+        """Return the detail triangles [T, 3, 3] [m] of the polygons that can be walked on, or of one island."""
         if island is not None:
             self._check(island)
         wanted = self.enabled if island is None else self.islands == island

@@ -23,18 +23,18 @@ from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_fro
 ENDS_TOUCH_M = 0.01
 """Largest distance of points on the surface from the polygons of a `FreeSpace` [m], as one is float32 and the other float64."""
 PIXELS_MAX = 1 << 26
-"""Largest top-down map."""
+"""Largest number of pixels of a top-down map."""
 _ANY = -1
 
 
 @dataclass(kw_only=True)
 class ShortestPath:
-    """A question and, after `PathFinder.find_path`, its answer. Fields can be set one by one, as in habitat-sim."""
+    """Query of a path and, after `PathFinder.find_path`, its result. Fields can be set one by one, as in habitat-sim."""
 
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_end: ArrayLike = field(default_factory=lambda: np.zeros(3))
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Way points [k, 3] from start to end, as projected; none if there is no path."""
+    """Waypoints [k, 3] from start to end, as projected; none if there is no path."""
     geodesic_distance: float = np.inf
     """Length of the path [m]; inf if there is none."""
 
@@ -45,7 +45,7 @@ class MultiGoalShortestPath:
 
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_ends: ArrayLike = field(default_factory=lambda: np.zeros((0, 3)))
-    """Shape [k, 3]; ends without a path are passed over."""
+    """Possible ends of the path, shape [k, 3]; ends without a path are passed over."""
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     geodesic_distance: float = np.inf
     closest_end_point_index: int = -1
@@ -77,7 +77,7 @@ class PathFinder:
 
     @property
     def surface(self) -> Surface:
-        """The polygons as flat arrays, for kernels (`h3data_habitat.navmesh._surface`)."""
+        """Polygons as flat arrays, for kernels (`h3data_habitat.navmesh._surface`)."""
         return self._surface
 
     @cached_property
@@ -99,7 +99,7 @@ class PathFinder:
         return reached
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Way points [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0: no path."""
+        """Return waypoints [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0: no path."""
         return self._paths(start, _point(end)[None])[0][1]
 
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
@@ -222,7 +222,7 @@ class PathFinder:
 
     @property
     def num_islands(self) -> int:
-        """Number of parts that no path joins."""
+        """Number of islands, between which there are no paths."""
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:
@@ -231,7 +231,7 @@ class PathFinder:
         return self.navigable_area if k < 0 else float(self.navmesh.island_areas[k])
 
     def get_island(self, point: ArrayLike) -> int:
-        """Island of the polygon nearest to a point [3], -1 if there is none near."""
+        """Return the island of the polygon nearest to a point [3], -1 if there is none near."""
         polygon = self._nearest(point)[0]
         return int(self._surface.island[polygon]) if polygon >= 0 else -1
 
@@ -253,7 +253,7 @@ class PathFinder:
         return float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
 
     def get_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper corner [3] of the baked volume, as the file says."""
+        """Return the lower and upper corner [3] of the baked volume, as the file says."""
         low, high = self.navmesh.bounds.astype(np.float64)
         return low, high
 

@@ -1,4 +1,4 @@
-"""Habitat's articulated objects: a URDF whose links stand where the initial joint positions put them."""
+"""Habitat's articulated objects: a URDF whose links are posed by the initial joint positions."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Link:
     mesh: Mesh
     shapes: tuple[Shape, ...]
     turn: NDArray[np.float64]
-    """Rotation from the URDF link frame to this one, shape [3, 3]."""
+    """Rotation from the URDF link frame to the frame of this link, shape [3, 3]."""
 
 
 def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
-    """Return the kinematic tree of a URDF file and those of its links that are seen or collide.
+    """Return the kinematic tree of a URDF file and its visible or colliding links.
 
     Raises:
         FormatError, SceneError: the file, or a mesh that it names, cannot be used.
@@ -67,7 +67,7 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
 
 
 def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 1.0) -> NDArray[np.float64]:
-    """URDF link frames in the frame of the base link, [L, 4, 4], of a robot that is scaled as a whole.
+    """Return the URDF link frames in the frame of the base link, [L, 4, 4], of a robot that is scaled as a whole.
 
     Args:
         robot: The tree.
@@ -86,7 +86,7 @@ def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 
 def pose_of_links(
     robot: Robot, base: NDArray[np.float64], frames: NDArray[np.float64], *, scale: float
 ) -> NDArray[np.float64]:
-    """World matrices [L, 4, 4] of URDF link frames.
+    """Return world matrices [L, 4, 4] of URDF link frames.
 
     ``base`` [4, 4] is the centre of mass of the base link, as Habitat gives the pose of an articulated object
     (habitat-findings, "what habitat-sim itself does" 2).
@@ -126,7 +126,7 @@ def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
 def initial_positions(
     robot: Robot, entry: Mapping[str, Any], *, link_order: str, where: Path
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Joint positions [J] that an instance's ``initial_joint_pose`` asks for, and warnings.
+    """Return the joint positions [J] of an instance's ``initial_joint_pose``, and warnings.
 
     A list is in the order of `joint_order`. An object names joints; if a name is none, its values are taken as a list in
     the order of the names, which is what habitat-sim does in any case.
@@ -226,7 +226,7 @@ def _moved(
 
 
 def empty_mesh() -> Mesh:
-    """Return an empty mesh, for what collides and is not seen."""
+    """Return an empty mesh, for invisible collision shapes."""
     none = np.zeros((0, 3), np.float32)
     return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8))
 

@@ -1,4 +1,4 @@
-"""Collision parts as closed meshes for Habitat's collider files, and assets with an instance's scale worked in."""
+"""Collision parts as closed meshes for Habitat's collider files, and assets with the scale of an instance applied."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def part_points(shape: Shape) -> NDArray[np.float64]:
 
 
 def scaled_asset(asset: Asset, scale: NDArray[np.float64]) -> Asset:
-    """Return the asset in the size of an instance: its mesh, parts and receptacles scaled per axis [3]; itself for 1.
+    """Return the asset in the size of an instance: mesh, parts and receptacles scaled per axis [3]; itself for scale 1.
 
     habitat-lab does not scale the receptacles of rigid objects, and Bullet does not mirror collision parts.
     """

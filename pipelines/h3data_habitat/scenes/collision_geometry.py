@@ -12,7 +12,7 @@ from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Hull, Shape
 
 MAX_PARTS = 64
-"""An object of more pieces (a plant, a shelf with books) becomes one hull."""
+"""Largest number of pieces of an object; one with more (a plant, a shelf with books) becomes one hull."""
 
 _MIN_HALF_EXTENT_M = 1e-3
 _WELD_M = 1e-5

@@ -134,7 +134,7 @@ READ: Mapping[ConfigKind, tuple[str, ...]] = {
     "region": ("name", "label", "poly_loop", "floor_height", "min_bounds", "max_bounds"),
     "rec_filter": ("active", "within_set"),
 }
-"""Keys that are read, by the sort of JSON object in which they stand."""
+"""Keys that are read, by the kind of JSON object."""
 
 IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
     "scene_dataset_config": {"pbr_ibl_configs": _SHADING, "dataset_name": _NOTES, "user_defined": _NOTES},
@@ -225,7 +225,7 @@ IGNORED_FILES: Mapping[str, str] = {
 
 
 class KeyNotes:
-    """Collects which keys of the files of a scene were not read."""
+    """Collection of the keys in the files of a scene that were not read."""
 
     def __init__(self) -> None:
         self.ignored: set[str] = set()

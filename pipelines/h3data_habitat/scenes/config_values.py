@@ -1,4 +1,4 @@
-"""Values of Habitat's JSON configs, checked: every fault names the key and the file."""
+"""Checked values of Habitat's JSON configs: every error names the key and the file."""
 
 from __future__ import annotations
 

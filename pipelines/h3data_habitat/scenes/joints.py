@@ -1,4 +1,4 @@
-"""Joints of Habitat's articulated objects, as the things that open of a `Scene`."""
+"""Joints of Habitat's articulated objects, as articulated things of a `Scene`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounding boxes of mesh files as habitat-sim computes them, by which it places objects."""
+"""Bounding boxes of mesh files as habitat-sim computes them to place objects."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import numbers, text
 
 DEFAULT_CLEARANCE_M = 0.3
-"""Free height over a mesh receptacle [m]: Habitat's files do not state it."""
+"""Free height over a mesh receptacle [m], which Habitat's files do not state."""
 
 _GRID = 64
 _MIN_HALF_SIZE_M = 0.01
@@ -122,7 +122,7 @@ def _rectangle(
 def largest_rectangle(
     vertices: NDArray[np.float64], mesh: Mesh
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Centre [3] and half size (x, z) [2] of the largest level rectangle that a mesh's level triangles cover, or None.
+    """Return centre [3] and half size (x, z) [2] of the largest level rectangle on a mesh's level triangles, or None.
 
     Cells of a 64 x 64 grid over the mesh are covered if all their corners are; so the result never overhangs by more
     than the thin slivers between grid corners.

@@ -1,4 +1,4 @@
-"""Search for the files that Habitat's configs name, and the folders that a config may reach."""
+"""Search for the files that Habitat's configs name, within the folders that a config may reach."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEVELS = 4
 
 
 class ReferencedFiles:
-    """Finds the files of one scene.
+    """Search for the files of one scene.
 
     As in habitat-sim a path is tried as it stands (absolute, or relative to the working directory), then relative to
     the config that names it; after that below the user's asset folders (`AssetFolders`: with the known aliases of
@@ -31,7 +31,7 @@ class ReferencedFiles:
         """Places at which each missing file was looked for."""
 
     def find(self, name: str, folder: Path) -> Path | None:
-        """Return the file that a config in ``folder`` means; None if it is nowhere.
+        """Return the file that a config in ``folder`` refers to; None if it does not exist.
 
         Raises:
             SceneError: it lies outside the folders that may be reached.

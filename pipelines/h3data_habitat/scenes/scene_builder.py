@@ -20,12 +20,12 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""Greatest distance of things from the origin [m]: 100 km, where float32 still tells centimetres."""
+"""Greatest distance of things from the origin [m]: 100 km, where float32 still resolves centimetres."""
 
 
 @dataclass
 class SceneBuilder:
-    """Collects assets and instances of one scene.
+    """Builder of the assets and instances of one Habitat scene.
 
     An object that cannot be used (a damaged mesh, a size of 0) is left out with a warning; a config of the wrong form is a
     `FormatError`. With ``strict`` every warning is an error in the end.
@@ -48,7 +48,7 @@ class SceneBuilder:
             self.templates.warnings.append(warning)
 
     def find(self, dataset: SceneDataset, section: Section, name: str) -> Template | None:
-        """Return the template that a scene means by a name; warn if others fit as well."""
+        """Return the template of a name in a scene; warn if others fit as well."""
         template, others = dataset.find(section, name)
         if template is not None and others:
             self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken: {template.path}")
@@ -102,7 +102,7 @@ class SceneBuilder:
         )
 
     def add_articulated(self, template: Template, entry: Mapping[str, Any], *, where: Path) -> None:
-        """An articulated object: one static instance ``<name>/<link>`` per link that is seen or collides, and its joints."""
+        """Add an articulated object: a static instance ``<name>/<link>`` for each visible or colliding link, and its joints."""
         self.templates.keys.note("articulated_instance", entry)
         name = self._next_name(template)
         read = self.templates.articulated(template)
@@ -157,7 +157,7 @@ class SceneBuilder:
             self.more["navmesh"] = str(file)
 
     def use_receptacles(self, active: Sequence[str]) -> None:
-        """Keep only receptacles of these names in use: ``<object>|<receptacle>`` as habitat-lab writes them."""
+        """Use only receptacles of these names: ``<object>|<receptacle>`` as habitat-lab writes them."""
         names = set(active)
         for index, instance in enumerate(self.instances):
             # links are instances of their own, and the filter names the object

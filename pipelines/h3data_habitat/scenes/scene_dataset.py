@@ -1,4 +1,4 @@
-"""Scene datasets of Habitat: templates that a ``*.scene_dataset_config.json`` offers, and their attributes."""
+"""Scene datasets of Habitat: templates in a ``*.scene_dataset_config.json``, and their attributes."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _NAME_DIRECTIVES = ("%%CONFIG_NAME_AS_ASSET_FILENAME%%", "%%USE_FILENAME%%")
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A kind of stage, object or scene that can be instanced. Its file is read when it is used."""
+    """A kind of stage, object or scene that can be instantiated. Its file is read at its first use."""
 
     handle: str
-    """The short name: the file's name without its ending, or the ``template_handle`` of the dataset."""
+    """Short name: the file's name without its ending, or the ``template_handle`` of the dataset."""
     path: Path
     """Config or asset file; for templates that exist only in the dataset config, that config."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
     overrides: Mapping[str, Any] = field(default_factory=dict)
     inline: bool = False
-    """True if the attributes stand in the dataset config itself."""
+    """True if the attributes are in the dataset config itself."""
 
     @property
     def is_config(self) -> bool:
@@ -52,7 +52,7 @@ class Template:
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:
-        """Defaults of the dataset, then the file, then the dataset's overrides (spec/habitat.md 6.1)."""
+        """Return the attributes: defaults of the dataset, then the file, then the dataset's overrides (spec/habitat.md 6.1)."""
         own: dict[str, Any] = {}
         if self.is_config:
             own = read_object(self.path)
@@ -78,10 +78,10 @@ class SceneDataset:
     navmeshes: Mapping[str, str] = field(default_factory=dict)
     """Navmesh files (relative to the config) by the name that scenes use."""
     descriptors: Mapping[str, str] = field(default_factory=dict)
-    """Return the files of semantic descriptors by name, in the same form as templates."""
+    """Files of semantic descriptors by name, in the same form as templates."""
     keys: KeyNotes = field(default_factory=KeyNotes)
     empty_paths: tuple[str, ...] = ()
-    """Search paths below which nothing is."""
+    """Search paths that contain no files."""
 
     @property
     def scenes(self) -> list[str]:
@@ -131,7 +131,7 @@ class SceneDataset:
         return index
 
     def names(self, section: Section) -> list[str]:
-        """Handles in a section, sorted."""
+        """Return the handles in a section, sorted."""
         return sorted(t.handle for t in self.sections.get(section, ()))
 
 

@@ -16,13 +16,13 @@ from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import number, numbers, objects, points, text
 
 STRIP_M = 0.1
-"""Slanting walls become steps of this depth; the area stays exact."""
+"""Depth of the steps that replace slanting walls [m]; the area stays exact."""
 _MAX_STRIPS = 1000
 _MAX_CORNERS = 10_000
 
 
 def read_rooms(content: Mapping[str, Any], keys: KeyNotes, *, where: Path) -> tuple[tuple[Room, ...], list[str]]:
-    """Regions of a ``*.semantic_config.json`` (world frame, +Y up) as rooms, and warnings about those left out.
+    """Read regions of a ``*.semantic_config.json`` (world frame, +Y up) as rooms, with warnings about those left out.
 
     The area is that of ``poly_loop`` seen from above, else of ``min_bounds`` and ``max_bounds``. Rectangles make it up:
     exactly where walls run along x and z, else as strips of 0.1 m. A name that is used again gets ``_1``, ``_2``, ...
@@ -61,7 +61,7 @@ def read_rooms(content: Mapping[str, Any], keys: KeyNotes, *, where: Path) -> tu
 
 
 def read_lexicon(content: Mapping[str, Any], *, where: Path) -> dict[int, str]:
-    """Class names by semantic id, from a lexicon: ``{"classes": [{"id": 1, "name": "chair"}, ...]}``."""
+    """Read class names by semantic id from a lexicon: ``{"classes": [{"id": 1, "name": "chair"}, ...]}``."""
     classes: dict[int, str] = {}
     for entry in objects(content, "classes", where=where):
         name = text(entry, "name", where=where)
@@ -75,7 +75,7 @@ def read_lexicon(content: Mapping[str, Any], *, where: Path) -> dict[int, str]:
 
 
 def polygon_rectangles(loop: NDArray[np.float64] | Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """Disjoint rectangles ``x0 z0 x1 z1`` [R, 4] with the area of a polygon [N, 2] (even-odd rule).
+    """Cover a polygon [N, 2] (even-odd rule) by disjoint rectangles ``x0 z0 x1 z1`` [R, 4].
 
     The result is empty for fewer than three corners, or no area.
     """

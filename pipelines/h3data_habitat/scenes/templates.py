@@ -42,10 +42,10 @@ class Rigid:
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """True if this origin scales with the object, which it does unless the config gives it."""
+    """True if this origin scales with the object: always, unless the config gives the origin."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
+        """Return Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
         return self.middle * scale if self.middle_scales else self.middle
 
 
@@ -74,7 +74,7 @@ class _Frame:
 
 @dataclass
 class TemplateReader:
-    """Reads each template once."""
+    """Reader that reads each template once."""
 
     files: ReferencedFiles
     keys: KeyNotes
@@ -83,7 +83,7 @@ class TemplateReader:
     assets: dict[str, Asset] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    """Files that do not exist, with the places where they were looked for."""
+    """Files that do not exist, with the places where they were searched."""
     _read: dict[int, Rigid | Articulated | None] = field(default_factory=dict)
     _alive: list[Template] = field(default_factory=list)
 
@@ -92,7 +92,7 @@ class TemplateReader:
         return self._rigid(template, stage=True)
 
     def rigid(self, template: Template) -> Rigid | None:
-        """Return the object; None if it cannot be used, which is in the warnings then, or among the missing files."""
+        """Return the object; None, with a warning or an entry among the missing files, if it cannot be used."""
         read = self._once(template)
         return read if isinstance(read, Rigid) else None
 

@@ -35,7 +35,7 @@ def clutter(
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
 ) -> list[Instance]:
-    """Small objects on the receptacles of ``furniture`` as kinematic instances, none overlapping.
+    """Place small objects on the receptacles of ``furniture`` as kinematic instances, none overlapping.
 
     Every object stands inside its receptacle and fits under its clearance; bounding discs keep objects apart. ``amount``
     scales the probability that a receptacle holds anything and, beyond 1, the largest number of objects on it.

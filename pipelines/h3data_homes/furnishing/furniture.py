@@ -1,4 +1,4 @@
-"""`Furniture`, one parametric piece, and the helpers that all pieces are built with.
+"""Furniture as a parametric piece, and the helpers that build all pieces.
 
 Asset frame: origin on the floor below the centre of the footprint, +Y up, front facing +Z.
 """
@@ -29,11 +29,11 @@ HEAD_BAND = (0.05, 1.8)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Furniture:
-    """Piece of furniture with the data that placement needs."""
+    """Piece of furniture with the data for its placement."""
 
     category: str
     builder: MeshBuilder
-    """Appearance of the piece; triangles are built only by `asset`, once the piece is placed."""
+    """Function that builds the appearance; triangles are built only by `asset`, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
@@ -43,7 +43,8 @@ class Furniture:
     wall_gap_m: float = 0.02
     """Distance from the back of the piece to the wall [m]."""
     opens: Callable[[int], Opening] | None = None
-    """The same piece with doors and drawers that open, by how many of it have been placed before; None: nothing opens."""
+    """Function that returns the same piece with doors and drawers that open, from the number of such pieces that have
+    been placed; None: nothing opens."""
 
     @property
     def solid(self) -> bool:
@@ -86,21 +87,21 @@ Maker = Callable[[np.random.Generator, Style], Furniture]
 
 
 def box_part(center: ArrayLike, size: ArrayLike) -> Box:
-    """Collision box by its centre and full size."""
+    """Build a collision box by its centre and full size."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Box(pose=pose, half_extents=np.asarray(size, float) / 2)
 
 
 def cylinder_part(center: ArrayLike, radius: float, height: float) -> Cylinder:
-    """Upright collision cylinder by its centre."""
+    """Build an upright collision cylinder by its centre."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
 def surface(name: str, center: ArrayLike, size: ArrayLike, clearance: float) -> Receptacle:
-    """Receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
+    """Build a receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
     )

@@ -14,7 +14,7 @@ _PORCELAIN: Color = (248, 248, 246)
 
 
 def toilet(rng: np.random.Generator, style: Style) -> Furniture:
-    """Toilet with cistern, of random depth."""
+    """Build a toilet with cistern, of random depth."""
     mesh, w, d = MeshBuilder(), 0.38, rng.uniform(0.62, 0.68)
     z0 = -d / 2
     mesh.span((-w / 2, 0.36, z0), (w / 2, 0.76, z0 + 0.18), _PORCELAIN, bevel=0.02)
@@ -83,7 +83,7 @@ def mat(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def bathtub(rng: np.random.Generator, style: Style) -> Furniture:
-    """Bathtub of 1.7 x 0.75 m with tiled sides."""
+    """Build a bathtub of 1.7 x 0.75 m with tiled sides."""
     mesh, w, d, h, rim = MeshBuilder(), 1.7, 0.75, 0.56, 0.075
     x, z = w / 2, d / 2
     mesh.span((-x, 0.0, z - 0.02), (x, h - 0.03, z), vary(rng, style.wall_tile, 0.02))

@@ -51,7 +51,7 @@ def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture
 
 
 def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
-    """Nightstand of random size with two drawers."""
+    """Build a nightstand of random size with two drawers."""
     mesh, w, d, h = MeshBuilder(), rng.uniform(0.4, 0.46), 0.38, rng.uniform(0.48, 0.56)
     mesh.span((-w / 2, 0.1, -d / 2), (w / 2, h - 0.02, d / 2 - 0.02), style.wood, bevel=0.004)
     mesh.span((-w / 2, h - 0.02, -d / 2), (w / 2, h, d / 2), style.wood, bevel=0.005)
@@ -74,7 +74,7 @@ def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def wardrobe(rng: np.random.Generator, style: Style) -> Furniture:
-    """Wardrobe with two to four doors, 0.5 m each."""
+    """Build a wardrobe with two to four doors, 0.5 m each."""
     mesh, d, h = MeshBuilder(), 0.58, rng.uniform(2.0, 2.2)
     doors = int(rng.integers(2, 5))
     w = 0.5 * doors
@@ -97,7 +97,7 @@ def wardrobe(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def desk(rng: np.random.Generator, style: Style) -> Furniture:
-    """Desk of random size with three drawers."""
+    """Build a desk of random size with three drawers."""
     mesh, w, d, h = MeshBuilder(), rng.uniform(1.1, 1.22), rng.uniform(0.58, 0.68), 0.74
     mesh.span((-w / 2, h - 0.03, -d / 2), (w / 2, h, d / 2), style.wood, bevel=0.006)
     drawer = DESK_DRAWERS
@@ -126,5 +126,5 @@ def desk(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def chair_reach(rng: np.random.Generator) -> float:
-    """Random distance by which a desk or dining chair is pulled out beyond the table's edge [m]."""
+    """Return a random distance by which a desk or dining chair is pulled out beyond the table's edge [m]."""
     return float(np.clip(rng.normal(0.30, 0.02), 0.26, 0.34))

@@ -114,7 +114,7 @@ def _sink(mesh: MeshBuilder, half: float, style: Style) -> None:
 
 
 def stove(rng: np.random.Generator, style: Style) -> Furniture:
-    """Kitchen module with oven and hob."""
+    """Build a kitchen module with oven and hob."""
     mesh, w, y = MeshBuilder(), STOVE_WIDTH, WORKTOP_HEIGHT
     body = style.white if rng.random() < 0.5 else (150, 153, 156)
     mesh.span((-w / 2, 0.08, -MODULE_DEPTH / 2), (w / 2, y - 0.02, _FRONT_Z), body)
@@ -135,7 +135,7 @@ def stove(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def fridge(rng: np.random.Generator, style: Style) -> Furniture:
-    """Fridge-freezer of random height and colour."""
+    """Build a fridge-freezer of random height and colour."""
     mesh, w, h, d = MeshBuilder(), FRIDGE_WIDTH, rng.uniform(1.75, 1.95), 0.64
     body = vary(rng, [(236, 237, 238), (172, 176, 180), (62, 66, 72)][int(rng.integers(3))], 0.02)
     mesh.span((-w / 2, 0.03, -d / 2), (w / 2, h, d / 2 - 0.06), body, bevel=0.006)
@@ -207,7 +207,7 @@ def hood(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def dining_table(rng: np.random.Generator, style: Style, seats: int = 4) -> Furniture:
-    """Dining table for four, six or eight people."""
+    """Build a dining table for four, six or eight people."""
     mesh, h = MeshBuilder(), 0.74
     w = {8: 2.4, 6: 1.75}.get(seats) or rng.uniform(1.2, 1.4)
     d = rng.uniform(0.8, 0.9)

@@ -65,18 +65,18 @@ def _seat(width: float, depth: float, seats: int, rng: np.random.Generator, styl
 
 
 def sofa(rng: np.random.Generator, style: Style) -> Furniture:
-    """Sofa with two or three seats."""
+    """Build a sofa with two or three seats."""
     seats = int(rng.integers(2, 4))
     return _seat(0.5 + 0.64 * seats + rng.uniform(0, 0.1), rng.uniform(0.88, 0.95), seats, rng, style, "sofa")
 
 
 def armchair(rng: np.random.Generator, style: Style) -> Furniture:
-    """Armchair of random size."""
+    """Build an armchair of random size."""
     return _seat(rng.uniform(0.86, 0.95), rng.uniform(0.82, 0.88), 1, rng, style, "armchair")
 
 
 def coffee_table(rng: np.random.Generator, style: Style) -> Furniture:
-    """Coffee table with a shelf below its top."""
+    """Build a coffee table with a shelf below its top."""
     mesh = MeshBuilder()
     w, d, h = rng.uniform(0.9, 1.15), rng.uniform(0.5, 0.6), rng.uniform(0.38, 0.44)
     mesh.span((-w / 2, h - 0.035, -d / 2), (w / 2, h, d / 2), style.wood, bevel=0.008)
@@ -88,7 +88,7 @@ def coffee_table(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
-    """TV stand of random width."""
+    """Build a TV stand of random width."""
     mesh = MeshBuilder()
     w, d, h = rng.uniform(1.3, 1.7), 0.42, rng.uniform(0.46, 0.54)
     mesh.span((-w / 2, 0.06, -d / 2), (w / 2, h - 0.025, d / 2 - 0.02), style.wood, bevel=0.004)
@@ -184,7 +184,7 @@ def _corners(x: float, z: float, y: float) -> list[tuple[float, float, float]]:
 
 
 def floor_lamp(rng: np.random.Generator, style: Style) -> Furniture:
-    """Floor lamp with a conical shade."""
+    """Build a floor lamp with a conical shade."""
     mesh = MeshBuilder()
     h = rng.uniform(1.5, 1.65)
     mesh.cylinder((0, 0.0125, 0), 0.15, 0.025, style.metal, bevel=0.005, segments=20)
@@ -197,7 +197,7 @@ def floor_lamp(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def plant(rng: np.random.Generator, style: Style) -> Furniture:
-    """Potted plant of random height."""
+    """Build a potted plant of random height."""
     mesh = MeshBuilder()
     pot, radius, tall = rng.uniform(0.28, 0.36), rng.uniform(0.15, 0.18), rng.uniform(0.9, 1.35)
     clay = vary(rng, (196, 112, 76) if rng.random() < 0.5 else (225, 222, 214))

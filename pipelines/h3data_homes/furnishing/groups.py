@@ -31,7 +31,7 @@ from h3data_homes.style import Style
 
 
 class NoRoomError(SceneError):
-    """A necessary piece of furniture does not fit: another plan has to be tried."""
+    """A necessary piece of furniture does not fit, so that another plan has to be tried."""
 
 
 def backed(piece: Furniture, x: float = 0.0) -> Member:
@@ -57,14 +57,14 @@ def place_single(
 
 
 def need(group: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
-    """Return the placed group; raises `NoRoomError` if it is None."""
+    """Return the placed group; raise `NoRoomError` if it is None."""
     if group is None:
         raise NoRoomError(f"No place for the {what} in {state.room.name}.", code="H3-SCENE-022")
     return group
 
 
 def in_a_row(pieces: Sequence[Furniture]) -> list[Member]:
-    """Pieces side by side along a wall, without gaps."""
+    """Place pieces side by side along a wall, without gaps."""
     width = add_up(p.size[0] for p in pieces)
     members, x = [], -width / 2
     for p in pieces:
@@ -81,7 +81,7 @@ def _with_other_fabrics(rng: np.random.Generator, style: Style) -> Style:
 
 
 def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bool) -> list[list[Member]]:
-    """Variants of a group of TV stand, TV, rug, coffee table, sofa and, unless ``small``, an armchair.
+    """Return variants of a group of TV stand, TV, rug, coffee table, sofa and, unless ``small``, an armchair.
 
     ``depth`` is that of the room [m]: the sofa either stands at the opposite wall or leaves room to walk behind it. Empty
     if the room is too shallow.
@@ -119,7 +119,7 @@ def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bo
 
 
 def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Member]:
-    """Two sofas facing each other across a table, or a sofa and up to two armchairs, centred on a rug."""
+    """Build a group of two sofas facing each other across a table, or a sofa and up to two armchairs, centred on a rug."""
     style = _with_other_fabrics(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
     knee = float(rng.uniform(0.36, 0.42))
@@ -161,7 +161,7 @@ def place_rug(state: RoomState, rug: Furniture, by: Placed, distance: float) -> 
 
 
 def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """Places up to ``count`` equal shelves side by side, filled with books or, in kitchens and the like, with supplies."""
+    """Place up to ``count`` equal shelves side by side, filled with books or, in kitchens and the like, with supplies."""
     shelf = living.shelf(rng, style, stores=state.room.category in ("pantry", "laundry", "kitchen", "bathroom"))
     for n in range(count, 0, -1):
         if place_at_wall(rng, state, in_a_row([shelf] * n), middle=True):

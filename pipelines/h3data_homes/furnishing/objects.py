@@ -35,7 +35,7 @@ def _centered(category: str, mesh: MeshBuilder, shapes: tuple[Shape, ...], heigh
 
 
 def can(rng: np.random.Generator, style: Style) -> Asset:
-    """Drinks can with a label of random colour."""
+    """Build a drinks can with a label of random colour."""
     r, h, mesh, label = 0.033, 0.102, MeshBuilder(), _bright(rng)
     mesh.lathe([(0, 0), (r - 0.003, 0), (r, 0.004), (r, 0.012)], style.metal, segments=16)
     mesh.lathe([(r, 0.012), (r, h - 0.012)], label, segments=16)
@@ -49,7 +49,7 @@ def can(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def mug(rng: np.random.Generator, style: Style) -> Asset:
-    """Mug of random colour."""
+    """Build a mug of random colour."""
     r, h, mesh, color = 0.041, 0.092, MeshBuilder(), _bright(rng)
     mesh.lathe(
         [(0, 0), (r - 0.004, 0), (r, 0.006), (r, h), (r - 0.005, h), (r - 0.006, 0.01), (0, 0.01)], color, segments=16
@@ -69,7 +69,7 @@ def mug(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def bowl(rng: np.random.Generator, style: Style) -> Asset:
-    """Bowl of random colour."""
+    """Build a bowl of random colour."""
     r, h, mesh, color = 0.08, 0.058, MeshBuilder(), _bright(rng)
     outer = [(0, 0), (0.036, 0), (0.038, 0.006), (0.06, 0.022), (0.075, 0.042), (r, h)]
     inner = [(r - 0.004, h), (0.07, 0.043), (0.055, 0.025), (0.03, 0.012), (0, 0.01)]
@@ -97,7 +97,7 @@ def box(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def bottle(rng: np.random.Generator, style: Style) -> Asset:
-    """Bottle of random height and colour, with a label."""
+    """Build a bottle of random height and colour, with a label."""
     r, h, mesh = 0.034, rng.uniform(0.21, 0.25), MeshBuilder()
     color = vary(rng, [(46, 104, 66), (196, 214, 222), (110, 62, 34), (220, 190, 70)][int(rng.integers(4))])
     body = [(0, 0), (r - 0.004, 0), (r, 0.005), (r, h * 0.6), (r * 0.8, h * 0.7), (0.013, h * 0.8), (0.013, h - 0.02)]
@@ -134,7 +134,7 @@ def _fruit(category: str, r: float, squash: float, color: Color) -> Asset:
 
 
 def apple(rng: np.random.Generator, style: Style) -> Asset:
-    """Apple, red, green or orange-red."""
+    """Build an apple, red, green or orange-red."""
     return _fruit("apple", 0.037, 0.92, vary(rng, [(190, 44, 40), (140, 176, 62), (212, 92, 48)][int(rng.integers(3))]))
 
 

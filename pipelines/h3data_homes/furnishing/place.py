@@ -59,13 +59,13 @@ class Member:
     z: float = 0.0
     quarter: int = 0
     yaw: float = 0.0
-    """A small additional rotation, for chairs that are not quite straight [rad]."""
+    """Small additional rotation, for chairs that are not quite straight [rad]."""
     y: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Piece of furniture at its place in the world."""
+    """Piece of furniture with its place in the world."""
 
     piece: Furniture
     room: str
@@ -83,7 +83,7 @@ class RoomState:
 
     room: RoomPlan
     doors: list[tuple[int, Opening]]
-    """(side, opening) of doors and wide openings."""
+    """Pairs (side, opening) of doors and wide openings."""
     windows: list[tuple[int, Opening]]
     keep: list[Rect]
     """Floor that stays free in front of doors."""
@@ -92,7 +92,7 @@ class RoomState:
     fronts: list[Rect] = field(default_factory=list)
     rugs: list[Rect] = field(default_factory=list)
     goals: list[tuple[Rect, float]] = field(default_factory=list)
-    """Edges (flat rectangles) that walkers must be able to approach, and to what distance [m]."""
+    """Edges (flat rectangles) that walkers must be able to approach, and the distance within which [m]."""
     _free: BaseGeometry | None = None
 
     @property
@@ -131,7 +131,7 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
 
 
 def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
-    """Rectangle along a wall that extends ``depth`` into the room."""
+    """Return the rectangle along a wall that extends ``depth`` into the room."""
     x0, z0, x1, z1 = interior
     if side == 0:
         return low, z0, high, z0 + depth
@@ -153,23 +153,23 @@ def side_depth(interior: Rect, side: int) -> float:
 
 
 def turned(quarter: int, x: float, z: float) -> tuple[float, float]:
-    """(x, z) rotated by quarter turns about +y, which take +z to +x."""
+    """Rotate (x, z) by quarter turns about +y, which take +z to +x."""
     return ((x, z), (z, -x), (-x, -z), (-z, x))[quarter % 4]
 
 
 def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
-    """World (x, z) of the group frame's origin on a wall."""
+    """Return the world (x, z) of the group frame's origin on a wall."""
     return ((u, interior[1]), (interior[0], u), (u, interior[3]), (interior[2], u))[side]
 
 
 def around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
-    """Plan rectangle of a piece by its centre, size and quarter turns."""
+    """Return the plan rectangle of a piece by its centre, size and quarter turns."""
     a, b = (width / 2, depth / 2) if quarter % 2 == 0 else (depth / 2, width / 2)
     return x - a, z - b, x + a, z + b
 
 
 def footprint(p: Placed) -> Rect:
-    """Plan rectangle of a piece, without its yaw."""
+    """Return the plan rectangle of a piece, without its yaw."""
     return around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
 
 

@@ -23,7 +23,7 @@ from h3data_homes.style import Style
 
 @cache
 def extent(kind: Kind) -> NDArray[np.float64]:
-    """Bounding box of a kind's parts at scale 1, shape [2, 3] [m]."""
+    """Return the bounding box of a kind's parts at scale 1, shape [2, 3] [m]."""
     mesh = MeshBuilder()
     for part in model_of(kind).parts:
         solids.add(mesh, part, (128, 128, 128), np.ones(3))
@@ -31,12 +31,12 @@ def extent(kind: Kind) -> NDArray[np.float64]:
 
 
 def grasp_point(kind: Kind) -> NDArray[np.float64]:
-    """Return the point that a hand takes hold of, in the frame of the kind's parts at scale 1, shape [3] [m]."""
+    """Return the point at which a hand grasps it, in the frame of the kind's parts at scale 1, shape [3] [m]."""
     return np.array(kind.hold_m) if kind.hold_m is not None else grasp_point_in(kind.grasp, extent(kind))
 
 
 def is_aligned(kind: Kind) -> bool:
-    """Return whether it stands parallel to the edges of what it stands on."""
+    """Return whether a thing stands parallel to the edges of the surface below it."""
     return bool(kind.model) and model_of(kind).aligned
 
 
@@ -47,14 +47,14 @@ def _sampled_scale(model: Model, rng: np.random.Generator) -> NDArray[np.float64
 
 
 class KindBuilder(MeshBuilder):
-    """A model whose parts are collected only when its mesh is asked for: most pieces are tried and discarded."""
+    """Model whose parts are collected only when its mesh is requested: most pieces are tried and discarded."""
 
     def __init__(self, kind_parts: Sequence[Part], seed: int, style: Style, scale: NDArray[np.float64]) -> None:
         super().__init__()
         self._later = kind_parts, seed, style, scale
 
     def mesh(self) -> Mesh:
-        """Mesh of the model, built at the first call."""
+        """Return the mesh of the model, built at the first call."""
         if self._mesh is None:
             parts, seed, style, scale = self._later
             color = colours_of(np.random.default_rng(seed), style)

@@ -1,4 +1,4 @@
-"""Shapes that the tables of kinds are written in: each function returns one `Part` or a few.
+"""Shapes for the tables of kinds: each function returns one `Part` or a few.
 
 Positions are the middle of a part's footprint and its underside (x, y, z), for balls the centre; lengths in metres, turns in
 degrees about x, y and z (in this order), around the part's centre. Colours are names that `colours` resolves, or sRGB
@@ -116,7 +116,7 @@ def leaves(
 
 
 def legs(color: Paint, half_x: float, half_z: float, top: float, thick: float = 0.04) -> tuple[Part, ...]:
-    """Four square legs."""
+    """Return the parts of four square legs."""
     return tuple(box(color, sx * half_x, 0, sz * half_z, thick, top, thick) for sx in (-1, 1) for sz in (-1, 1))
 
 

@@ -1,4 +1,4 @@
-"""The models of the catalogue: each file in ``datasets/kinds/`` writes them in the shapes of this module.
+"""Models of the catalogue: each file in ``datasets/kinds/`` describes them by the shapes of this module.
 
 Positions (``at``) are the middle of a shape's footprint and its underside (x, y, z), for balls and arcs the centre; lengths in
 metres, turns in degrees about x, y and z (in this order), around the shape's centre. Colours are names that `colours`
@@ -19,7 +19,8 @@ from h3data_homes.kinds import parts
 from h3data_homes.kinds.parts import Paint, Part, Point
 
 Solid = Literal["box", "round", "parts", "none"]
-"""Collision shapes of a model: the bounding box, an upright cylinder, the upright boxes and rods among the parts, or none."""
+"""Kind of the collision shapes of a model: the bounding box, an upright cylinder, the upright boxes and rods among the
+parts, or none."""
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag=str.lower):
@@ -46,7 +47,7 @@ class Box(Shape, frozen=True):
 
 
 class Rod(Shape, frozen=True):
-    """A closed cylinder, or a cone frustum with the radius ``top`` at its top; the underside is that after the turn."""
+    """A closed cylinder, or a cone frustum with the radius ``top`` at its top; the underside is that after the rotation."""
 
     at: Point
     radius: float
@@ -89,7 +90,7 @@ class Ball(Shape, frozen=True):
 
 
 class Soft(Shape, frozen=True):
-    """A box with round edges."""
+    """A box with rounded edges."""
 
     at: Point
     size: tuple[float, float, float]

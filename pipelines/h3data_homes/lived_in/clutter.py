@@ -1,4 +1,4 @@
-"""Things that people leave about: on furniture and on the floor, by the tables of `habits`."""
+"""Things left lying around, on furniture and on the floor, by the tables of `habits`."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def leave_about(
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
 ) -> tuple[list[Instance], dict[str, Asset]]:
-    """Things on the receptacles of ``furniture`` and on the floors of rooms as kinematic instances, and their assets.
+    """Place things on the receptacles of ``furniture`` and on floors as kinematic instances; return their assets too.
 
     None overlap, every thing lies within its receptacle and fits under its clearance. ``amount`` scales probabilities and
     numbers.

@@ -1,4 +1,4 @@
-"""Things left in rooms: tables of habits, for surfaces by the furniture that they belong to, and for floors by room."""
+"""Tables of habits of leaving things in rooms: for surfaces by their furniture, and for floors by room."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Manner = Literal["scatter", "stack", "row", "settings", "pair"]
-"""Apart from each other; one upon the other; side by side at the back; plate, cutlery and glass per seat; two of one kind."""
+"""Arrangement of things: apart from each other; one upon the other; side by side at the back; plate, cutlery and glass
+per seat; two of one kind."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ ON_FURNITURE: Mapping[str, tuple[Habit, ...]] = {
     "wine_rack": (_habit("scatter", "wine_glass bottle basket", 1, 3),),
     "piano": (_habit("scatter", "candlestick photo_frame sculpture vase", 1, 3),),
 }
-"""Habits by the furniture that a surface belongs to; ``sink`` is the worktop beside a sink."""
+"""Habits by the furniture that has the surface; ``sink`` is the worktop beside a sink."""
 
 CHANCE: Mapping[str, float] = {
     "dining_table": 1.0,
@@ -175,7 +176,7 @@ CHANCE: Mapping[str, float] = {
     "tv_stand": 0.5,
     "toilet": 0.5,
 }
-"""Probability that anything lies on a surface; 0.7 for other furniture."""
+"""Probability that anything lies on a surface, by furniture; 0.7 for other furniture."""
 
 ON_FLOOR: Mapping[str, tuple[Habit, ...]] = {
     "hall": (

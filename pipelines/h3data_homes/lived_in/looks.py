@@ -1,4 +1,4 @@
-"""Eight styles: tables of colours and materials, from which the palette of one home is sampled."""
+"""Eight styles of homes: tables of colours and materials, from which the palette of one home is sampled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Furniture of the first generation with other looks: the same collision shapes, surfaces and place, another model."""
+"""Furniture of the first generation with other models: the same collision shapes, surfaces and place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Furniture of each kind of room in homes of the second generation: what the first has, further pieces, new kinds of rooms.
+"""Furniture of each kind of room in homes of the second generation: that of the first, further pieces, new kinds of rooms.
 
 Large pieces come first, then `EXTRAS` in random order as far as they fit, then `ON_WALL`; at last `remodel` gives the
 furniture of the first generation other looks.
@@ -107,7 +107,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     ),
     "balcony": ("flower_box", "planter", "grill", "parasol", "drying_rack", "planter", "flower_box", "stool"),
 }
-"""Pieces that stand at a wall where there is room for them."""
+"""Pieces that are placed at a wall where there is room for them."""
 ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
     "living": (
         ("wall_clock", 1.75),
@@ -140,7 +140,7 @@ _REACH_OVER_M = 0.55
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a piece of a kind of the second generation."""
+    """Return a piece of furniture of the second generation, by the name of its kind."""
     return furniture_of(KINDS[name], rng, style)
 
 

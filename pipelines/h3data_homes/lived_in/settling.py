@@ -1,4 +1,4 @@
-"""Pieces that would stand a centimetre or two in a wall or in other furniture are moved out of it.
+"""Correction of pieces that would overlap a wall or other furniture by a centimetre or two.
 
 Places are found for models that stand parallel to the walls; a chair that is turned by some degrees is wider, and so are
 collision boxes that are larger than the model. Only pieces that are too deep in something are changed.
@@ -16,13 +16,13 @@ from h3data.scene.records import Box
 from h3data_homes.furnishing.place import Placed, Rect, RoomState, footprint, gap
 
 DEPTH_M = 0.01
-"""Boxes that are in each other by more are taken apart; it is what `h3data scenes validate` admits."""
+"""Depth above which overlapping boxes are moved apart [m]; `h3data scenes validate` admits this depth."""
 _ROUNDS = 4
 _NEAR_M = 0.1
 
 
 def settle(state: RoomState) -> None:
-    """Move the pieces of a room out of its walls, and the crooked ones out of those beside them."""
+    """Move the pieces of a room out of its walls, and rotated ones out of their neighbours."""
     for k, placed in enumerate(state.placed):
         if not placed.piece.solid or placed.y:
             continue

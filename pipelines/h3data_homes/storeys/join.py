@@ -16,7 +16,7 @@ UPPER = "upper_"
 
 
 def joined_storeys(plan: StoreyPlan, ground: Scene, upper: Scene, well: Scene) -> Scene:
-    """Return one scene of two furnished storeys, both given at (0, 0) and y = 0, and of what is between them, in place.
+    """Return one scene of two furnished storeys, both given at (0, 0) and y = 0, and of the parts between them, in place.
 
     Assets of the upper storey that the ground floor has too are shared if they are the same object.
     """

@@ -1,4 +1,4 @@
-"""The plan of a home with two storeys: where the stairwell stands, and where the upper storey lies beside the ground floor.
+"""Plan of a home with two storeys: the place of the stairwell, and that of the upper storey beside the ground floor.
 
 Both storeys are plans of `h3data_homes.layout`. The ground floor keeps its place, the stairwell adjoins its wall at x =
 width, and the upper storey lies beyond, so that no two of them share any floor: `h3data.scene.floor_heights` says why.
@@ -63,7 +63,7 @@ class StoreyPlan:
     ground: Layout
     upper: Layout
     offset: tuple[float, float]
-    """Place of the upper plan's corner (0, 0) in the home (x, z) [m]."""
+    """Position of the upper plan's corner (0, 0) in the home (x, z) [m]."""
     well: Well
 
 

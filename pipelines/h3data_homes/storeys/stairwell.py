@@ -1,4 +1,4 @@
-"""The stairwell of a home with two storeys: steps, handrails, walls, windows, ceiling; and the cellar below the upper storey.
+"""Stairwell of a home with two storeys: steps, handrails, walls, windows, ceiling; and the cellar below the upper storey.
 
 All assets are in world coordinates, as those of `h3data_homes.structure`. Their collision boxes end a little below what
 feet stand on.

@@ -1,4 +1,4 @@
-"""``h3data language templates``, ``h3data language verify`` and ``h3data language attach``."""
+"""Commands ``h3data language templates``, ``h3data language verify`` and ``h3data language attach``."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ class LanguageVerify:
     seed: int = 0
     """Seed of everything random."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results: a file for each episode as soon as it has been played, and the table (default: keep none)."""
+    """Folder for the results: a file for each episode as soon as it has been played, and the table (default: nothing is
+    written)."""
     workers: int = 1
     """Number of processes."""
     resume: bool = False
@@ -142,7 +143,7 @@ class LanguageAttach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line per reason for which recordings are left out; exit code 1 if there are any, 2 if all are."""
+        """Return a line for each reason with its recordings; exit code 1 if some are left out, 2 if all are."""
         from h3data.commands.command import claim_file
         from h3data.recording import write_mcap
         from h3data.recording.finding import find_episodes

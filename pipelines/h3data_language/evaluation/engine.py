@@ -1,4 +1,4 @@
-"""Evaluate propositions over the rows of a recording: when each was satisfied, and which constraints admit it.
+"""Evaluation of propositions over the rows of a recording: when each was satisfied, and which constraints admit it.
 
 Dependencies look at the rows before, constraints at the rows in which propositions were first true; both follow PARTNR
 (Chang et al. 2024, section 3 and appendix).
@@ -28,7 +28,7 @@ STATE_COLUMNS = {state: f"object_state.{state}" for state in ("clean", "filled",
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The evaluation of one recording."""
+    """Evaluation of one recording."""
 
     evaluation: Evaluation
     satisfied_at: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Geometry that propositions speak about: boxes of things, surfaces of furniture, rooms; as JSON in a recording's info.
+"""Geometry for propositions: boxes of things, surfaces of furniture, rooms; as JSON in a recording's info.
 
 With it, nothing but columns of the recording is needed for an evaluation: neither the scene nor the simulator.
 """
@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 
 
 class ThingBox(msgspec.Struct, frozen=True):
-    """A thing that agents move: its box, and where a recording holds its pose."""
+    """A movable thing: its box, and the place of its pose in a recording."""
 
     body: int
     """Index of the thing's body, as in ``agent_<i>.grasp_body``."""
@@ -33,7 +33,7 @@ class ThingBox(msgspec.Struct, frozen=True):
 
 
 class Surface(msgspec.Struct, frozen=True):
-    """A rectangle on which things can stand."""
+    """A rectangle on which things can be placed."""
 
     center: Vector
     """Center in the world [m]."""
@@ -87,7 +87,7 @@ class Layout(msgspec.Struct, frozen=True):
 
     @classmethod
     def of_scene(cls, scene: Scene, things: Sequence[str], floor_y: float = 0.0) -> Layout:
-        """Describe a home, with these things as the ones that move."""
+        """Describe a home and its movable things."""
         joints = joints_of(scene)
         furniture = {}
         for instance in scene.instances:
@@ -146,7 +146,7 @@ class Layout(msgspec.Struct, frozen=True):
 
 
 def owner_of(scene: Scene, name: str) -> str:
-    """The thing that a part belongs to: a drawer to its cabinet, a link of an articulated object of Habitat's to the object."""
+    """Return the thing that a part belongs to: the cabinet of a drawer, or Habitat's articulated object of a link."""
     for thing in scene.articulations:
         if any(name in part.instances for part in thing.parts):
             name = thing.base or thing.name

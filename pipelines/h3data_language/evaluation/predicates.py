@@ -20,19 +20,20 @@ from h3data_language.evaluation.records import NEXT_TO_M, STATES, Proposition
 
 Flags = NDArray[np.bool_]
 SINKS_M, RISES_M = 0.03, 0.12
-"""The lowest point of a thing that stands on a surface is at most this far below and above it [m]: a plate may lie between."""
+"""Distances below and above a surface within which the lowest point of a thing on it must be [m]: a plate may lie
+between."""
 FLOOR_M = 0.09
-"""The lowest point of a thing on the floor is at most this far above it [m]."""
+"""Largest height of the lowest point of a thing on the floor [m]."""
 IN_ROOM = 0.25
-"""Share of the corners and the center of a thing that are in its room."""
+"""Share of the corners and the center of a thing that must be in a room for the thing to be in it."""
 PADDING_M = 0.1
-"""Things are next to each other if their heights overlap once they are this much taller."""
+"""Height that is added to things: they are next to each other if their heights then overlap [m]."""
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)] + [[0, 0, 0]], np.float64)
 
 
 @dataclass(eq=False)
 class Rows:
-    """The rows of a recording that propositions are about."""
+    """Rows of a recording over which propositions are evaluated."""
 
     layout: Layout
     poses: NDArray[np.floating]
@@ -60,7 +61,7 @@ class Rows:
         return replace(self, poses=self.poses[new], held=self.held[new], states=states), np.cumsum(new) - 1
 
     def box(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Center and half extents [T or 1, 3] of the box around a thing or a piece of furniture, along the world's axes."""
+        """Return center and half extents [T or 1, 3] of the box around a thing or piece of furniture, along the world axes."""
         if name not in self._boxes:
             fixed = self.layout.furniture.get(name)
             if fixed is not None:
@@ -73,7 +74,7 @@ class Rows:
         return self._boxes[name]
 
     def corners(self, name: str) -> NDArray[np.float64]:
-        """Corners and center of a thing's box in the world [T, 9, 3]."""
+        """Return the corners and center of a thing's box in the world [T, 9, 3]."""
         center, half = self.box(name)
         return center[:, None] + _CORNERS * half[:, None]
 
@@ -180,7 +181,7 @@ def members_of(p: Proposition) -> list[str]:
 
 
 def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Rows in which some group of things next to each other has enough of each list [T], and the largest such group [T, N].
+    """Return rows in which some group of neighbouring things has enough of each list [T], and the largest such group [T, N].
 
     Raises:
         InputError: a thing does not exist.

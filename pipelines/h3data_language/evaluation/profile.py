@@ -1,4 +1,4 @@
-"""The profile ``partnr``: percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
+"""Profile ``partnr``: percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
 
 Of a recording with propositions (`h3data_language.evaluation.records`) and the layout of its home, it finds by itself when
 each was satisfied. Other recordings hold what the evaluator of their simulator found: ``info["satisfied_at"]``, for each of P
@@ -30,7 +30,7 @@ from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.records import PROPOSITIONS, Evaluation
 
 COMPLETE = 0.99
-"""Percent complete from which PARTNR's analysis counts an episode as done."""
+"""Percentage of completion from which PARTNR's analysis counts an episode as done."""
 _SOURCE = "PARTNR (2411.00081), "
 _FOUND = f"info:{PROPOSITIONS} or info:satisfied_at"
 _READ = (
@@ -137,13 +137,13 @@ class Progress(NamedTuple):
     admitted: NDArray[np.bool_]
     """Propositions that each constraint admits, [C, P]."""
     events: list[Event]
-    """Return the events ``progress``."""
+    """Events ``progress``."""
     explanation: str = ""
-    """A sentence on each proposition that is not completed, where they were evaluated here."""
+    """Sentences on the propositions that are not completed, if they were evaluated here."""
 
 
 def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
-    """Return the progress in a recording: evaluated from its propositions, or as its simulator stored it.
+    """Return the progress in a recording: evaluated from its propositions, or as its simulator recorded it.
 
     Raises:
         InputError: propositions or stored results are malformed.

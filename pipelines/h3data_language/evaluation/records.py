@@ -28,7 +28,7 @@ STATES = {
     "is_powered_on": ("powered", True),
     "is_powered_off": ("powered", False),
 }
-"""Name and value of the state that each proposition about states asks for."""
+"""Name and value of the state that each proposition about states requires."""
 THEIR_STATES = {state: name for name, (state, value) in STATES.items() if value}
 """Name of each state in PARTNR's files and logs."""
 ARGUMENTS: dict[str, tuple[str, ...]] = {
@@ -54,24 +54,24 @@ class Proposition(msgspec.Struct, frozen=True):
 
     @property
     def things(self) -> tuple[tuple[str, ...], ...]:
-        """Lists of names in its arguments."""
+        """Lists of names in the arguments of the proposition."""
         names = ARGUMENTS[self.function_name]
         listed = self.args["*args"] if names == ("*args",) else [self.args[name] for name in names]
         return tuple(map(tuple, listed))
 
     @property
     def number(self) -> int:
-        """Number of things from the first list that it requires."""
+        """Number of things from the first list that the proposition requires."""
         return self.args.get("number", 1)
 
     @property
     def is_same(self) -> bool:
-        """Return whether all of them have to be at the same thing of the second list."""
+        """Return whether all these things have to be at the same thing of the second list."""
         return bool(self.args.get(_SAME.get(self.function_name, ""), False))
 
 
 class Dependency(msgspec.Struct, frozen=True):
-    """A condition on the rows before, without which propositions are not asked."""
+    """A condition on earlier rows without which propositions are not evaluated."""
 
     proposition_indices: list[int]
     depends_on: list[int]

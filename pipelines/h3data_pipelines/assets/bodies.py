@@ -1,4 +1,4 @@
-"""``h3data bodies``: lists, shows and bakes the bodies of people."""
+"""Command ``h3data bodies``, which lists, renders and bakes the bodies of people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data robots``: which robots there are, what they look like, what their hand reaches."""
+"""Command ``h3data robots``: the available robots, their appearance, and the reach of their hands."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class RobotsReach:
 
 @dataclass(frozen=True)
 class RobotsInit:
-    """Write a robot.toml for a URDF, to be edited: what h3data guesses about its base, arm, hand, cameras and posture.
+    """Write a robot.toml for a URDF, to be edited: guesses about its base, arm, hand, cameras and posture.
 
     Put beside the URDF, the file is used from then on; h3data docs robots explains its fields.
 
@@ -143,7 +143,7 @@ class RobotsInit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the settings file with what is guessed from the URDF."""
+        """Write the settings file with guesses from the URDF."""
         settings = guess_robot_settings(self.urdf, up=self.up)
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()

@@ -1,4 +1,4 @@
-"""The annotated plan of a scene: names of rooms, free floor, receptacles, and the problems that a validation found."""
+"""Annotated plan of a scene: names of rooms, free floor, receptacles, and the problems that a validation found."""
 
 from __future__ import annotations
 

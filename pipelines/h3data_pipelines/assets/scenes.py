@@ -1,4 +1,4 @@
-"""``h3data scenes``: lists, renders, exports and validates scenes."""
+"""Command ``h3data scenes``, which lists, renders, exports and validates scenes."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ class ScenesExport:
     episodes: int | None = None
     """Number of episodes of a set to export for habitat (default: all; 0: none)."""
     objects: Path | None = None
-    """Folder of objects (of the YCB set, or Habitat's object configs) that take the place of movable things where they fit."""
+    """Folder of objects (of the YCB set, or Habitat's object configs) that replace movable things where they fit."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -514,7 +514,7 @@ def _png(path: Path, *, force: bool) -> Path:
 
 
 def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """View of a person who stands in a room, RGB [H, W, 3]."""
+    """Render the view of a person who stands in a room, RGB [H, W, 3]."""
     from h3data.render.renderer import Renderer
     from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 

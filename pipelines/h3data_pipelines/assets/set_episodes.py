@@ -12,7 +12,9 @@ from sim_kinematic.tasks.social_nav.task import SocialNav
 
 
 def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 0) -> SocialNavEpisode:
-    """Episode ``index`` in one scene of a set: a pure function, so that a set of 37,000 is a list of 37 homes.
+    """Sample episode ``index`` in one scene of a set.
+
+    It depends on nothing else, so that a set of 37,000 is a list of 37 homes.
 
     ``seed`` 0 gives the set's own episodes. The scene and its map are made at the first call and kept.
 

@@ -1,1 +1,1 @@
-"""Benchmarks: named, versioned sets of episodes with rules and metrics, whose results anyone can check."""
+"""Benchmarks: named, versioned sets of episodes with rules and metrics, whose results can be verified."""

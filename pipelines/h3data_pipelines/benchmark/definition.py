@@ -32,7 +32,7 @@ DEFINITION, EPISODES, BASELINES = "benchmark.toml", "episodes.json", "baselines.
 
 
 class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The contents of ``benchmark.toml``."""
+    """Contents of ``benchmark.toml``."""
 
     format: int
     name: str
@@ -47,11 +47,11 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rules: str | None = None
     """Name of a set of rules: ``natural`` or ``paper``."""
     overrides: dict[str, Any] = {}
-    """Single fields of the task's rules that differ from them."""
+    """Fields of the task's rules that differ from this set of rules."""
     metrics: list[str]
     """Columns of the leaderboard."""
     rank: str
-    """Metric by which its rows are sorted, the best first."""
+    """Metric by which the rows of the leaderboard are sorted, the best first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +127,7 @@ class Benchmark:
 
 
 def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:
-    """Number, scene, seed and identity of each episode: the entries of ``episodes.json``."""
+    """Yield number, scene, seed and identity of each episode: the entries of ``episodes.json``."""
     for job in jobs:
         base = job.base
         yield {
@@ -139,7 +139,7 @@ def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:
 
 
 def benchmark_labels() -> tuple[str, ...]:
-    """Names and versions of the benchmarks that ship with the package."""
+    """Return names and versions of the benchmarks that ship with the package."""
     return tuple(sorted(path.parent.name for path in (builtin_root() / FOLDER).glob(f"*/{DEFINITION}")))
 
 

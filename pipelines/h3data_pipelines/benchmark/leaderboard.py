@@ -20,7 +20,7 @@ from h3data_pipelines.benchmark.verification import ResultVerification
 from h3data_pipelines.hub.checksums import file_sha256
 
 VERDICT = "verification.json"
-"""Name of the file beside ``benchmark.json`` that ``h3data benchmark verify`` writes."""
+"""Name of the file that ``h3data benchmark verify`` writes next to ``benchmark.json``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class Entry:
     row: ResultRow
     result: BenchmarkResult
     source: str
-    """Name of the folder of the result, or ``baseline`` of those that ship with the benchmark."""
+    """Name of the folder of the result, or ``baseline`` for results that ship with the benchmark."""
     checked: str
     """Result of `h3data benchmark verify`."""
 

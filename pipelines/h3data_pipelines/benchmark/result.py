@@ -1,4 +1,4 @@
-"""Results of a benchmark in a folder: what ``h3data evaluate`` writes, with all recordings, and ``benchmark.json``.
+"""Results of a benchmark in a folder: the output of ``h3data evaluate`` with all recordings, and ``benchmark.json``.
 
 ``benchmark.json`` names the benchmark, the machine and the versions, and has the table and the digest of every file, so that
 `h3data_pipelines.benchmark.verification` can tell whether the table follows from the recordings.
@@ -33,7 +33,7 @@ MANIFEST = "benchmark.json"
 
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Policy in the table of a result."""
+    """Row of one policy in the table of a result."""
 
     policy: str
     played: int
@@ -44,7 +44,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The contents of ``benchmark.json``."""
+    """Contents of ``benchmark.json``."""
 
     format: int
     benchmark: str
@@ -171,7 +171,7 @@ def row_label(row: ResultRow) -> str:
 
 
 def cell_text(row: ResultRow, metric: str) -> str:
-    """``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
+    """Return text such as ``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
     cell = row.metrics.get(metric, {})
     mean, low, high = (cell.get(name) for name in ("mean", "low", "high"))
     if mean is None:
@@ -217,7 +217,7 @@ def result_files(folder: Path) -> list[str]:
 
 
 def this_machine() -> dict[str, str]:
-    """Processor, system and versions that a result names."""
+    """Return the processor, system and versions that a result names."""
     from h3data_pipelines.machine.bench import hardware_name
 
     return {

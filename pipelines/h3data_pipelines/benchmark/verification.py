@@ -1,4 +1,4 @@
-"""Checks of a result: whether its table follows from its recordings, and these from the episodes of the benchmark.
+"""Verification of a result: its table against its recordings, and these against the episodes of the benchmark.
 
 Nothing that the result claims is taken on trust. Each recording is compared with the episode that the benchmark names,
 simulated again from the robot's recorded actions, with people whose own policies decide again, and measured again.
@@ -54,9 +54,9 @@ class ResultVerification:
     episodes: int
     """Number of episodes that were checked."""
     of_episodes: int
-    """Number of episodes of the benchmark."""
+    """Number of all episodes of the benchmark."""
     faults: tuple[str, ...]
-    """Faults, a sentence each; empty if the table is true."""
+    """Faults, a sentence each; empty if the table is confirmed."""
 
     @property
     def is_true(self) -> bool:

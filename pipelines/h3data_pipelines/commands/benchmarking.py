@@ -1,4 +1,4 @@
-"""``h3data benchmark``: run a named benchmark, check anybody's result of it, and make a leaderboard."""
+"""Command ``h3data benchmark``: runs a named benchmark, verifies any result of it, and makes a leaderboard."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def verify_benchmark(
 
 @command_of(verify_benchmark)
 class BenchmarkVerify:
-    """Check whether the table of a result is true.
+    """Check whether the table of a result follows from its recordings.
 
     Each recording is compared with the episode that the benchmark names, simulated again from the robot's actions, with people
     whose own policies decide again, and measured again; the table has to follow from these. Policies of robots are not needed.
@@ -167,7 +167,7 @@ class BenchmarkVerify:
     benchmark: Path | None
     """Name or folder of the benchmark (default: the shipped one that the result names)."""
     episodes: int | None
-    """Check so many episodes, sampled at random (default: all)."""
+    """Number of episodes to check, sampled at random (default: all)."""
     seed: int
     """Seed of this sample."""
     workers: int

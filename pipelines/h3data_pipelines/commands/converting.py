@@ -1,4 +1,4 @@
-"""``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
+"""Command ``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Convert:
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
-    """Continue an interrupted conversion of the same input: finished output is kept."""
+    """Continue an interrupted conversion of the same input; finished output stays."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -280,7 +280,7 @@ def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
 
 
 def _steps_per_second(sources: list[StoredEpisode]) -> int:
-    """Rate of the first readable episode; an `InputError` if there is none."""
+    """Rate of the first readable episode; raise an `InputError` if there is none."""
     errors = []
     for source in sources:
         try:

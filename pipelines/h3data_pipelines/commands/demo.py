@@ -1,4 +1,4 @@
-"""``h3data demo``: one episode through every room of the house, offline: metrics at once, then a picture, then videos."""
+"""Command ``h3data demo``: one episode through every room of a home, offline: metrics at once, then a picture, then videos."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FILES = (
 FRAME_EVERY = 2
 """Number of steps from one frame of the videos to the next: 15 frames/s."""
 VIDEO_SIZE = (480, 360)
-"""Size of third_person.mp4 unless another one is asked for [px]. The first picture then has the camera's own, 640x480."""
+"""Default size of third_person.mp4 [px]. The first picture then has the camera's own size, 640x480."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Demo:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/demo")
     """Folder for the results."""
     seed: int = 3
-    """Home and episode."""
+    """Seed of the home and the episode."""
     steps: int = 600
     """Largest number of steps of the episode, at 30 steps per second."""
     human_speed: float = 1.2

@@ -45,17 +45,17 @@ class EpisodeSummary:
     """Number of episodes by task and by the program that wrote them."""
     scenes: Mapping[str, int]
     complete: int
-    """Number of episodes that hold the starts of the agents."""
+    """Number of episodes that contain the starts of the agents."""
     objects: Spread | None
     """Numbers of objects that single episodes add to their scenes."""
     goals: Spread | None
     """Numbers of objects that have to be moved in single episodes."""
     templates: Mapping[str, int]
-    """Number of such objects by template, or by name in our own files."""
+    """Number of objects to be moved by template, or by name in h3data's own files."""
     sources: Mapping[str, int]
     """Number of goals by the receptacle on which the object lies."""
     destinations: Mapping[str, int]
-    """Goals by the receptacle to which the object has to go."""
+    """Number of goals by the receptacle to which the object has to be moved."""
     carry_m: Spread | None
     """Straight distance on the floor from objects to their goals [m]."""
     apart_m: Spread | None
@@ -201,7 +201,7 @@ def _spread(numbers: Sequence[float] | Iterable[float]) -> Spread | None:
 
 
 def predicates_of(episode: RearrangeEpisode) -> list[str]:
-    """Function of each proposition of an episode; none if it is not PARTNR's."""
+    """Return the function of each proposition of an episode; none if it is not PARTNR's."""
     listed = episode.extra.get(PROPOSITIONS)
     if not isinstance(listed, list):
         return []

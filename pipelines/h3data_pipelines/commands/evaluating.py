@@ -1,4 +1,4 @@
-"""``h3data evaluate``: compares policies in the same episodes, with the paper's numbers for comparison.
+"""Command ``h3data evaluate``, which compares policies in the same episodes with each other and with the paper's numbers.
 
 In rearrangement every robot policy plays with every partner.
 """
@@ -159,8 +159,8 @@ class Evaluate:
     observe: Annotated[ObserveOption, WITH_SKILLS]
     overrides: OverridesOption
     light: Annotated[LightMode | None, PLAYED]
-    """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
-    the light that each was trained in). It does not matter to policies that see no colours."""
+    """Light in the colours that policies observe: baked, from windows, sun and lamps, or flat, the same everywhere
+    (default: the light that each was trained in). It does not affect policies that observe no colours."""
     workers: int
     """Number of worker processes."""
     executor: ExecutorOption

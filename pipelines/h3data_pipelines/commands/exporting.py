@@ -1,4 +1,4 @@
-"""``h3data export``: writes recordings as files of other programs."""
+"""Command ``h3data export``, which writes recordings as files of other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
+"""Command ``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ if TYPE_CHECKING:
     from h3data_pipelines.arguments import Agents, Body, Overrides, Policies, Scenes, TaskChoice
 
 COMMIT_STEPS = 30_000
-"""Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
-which files a dataset has must not depend on the speed of the machine."""
+"""Number of steps after which episodes are committed: about a minute of one core's work is lost when the process is
+killed. Not seconds: which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
 """Number of steps that a frame of a video counts as."""
 MAX_STEPS = task_notes(lambda task: f"{(task.usage.dataset_rules or task.Spec()).max_steps}.")
@@ -188,8 +188,8 @@ class Generate:
     partners: Annotated[tuple[str, ...], policies_of("human")]
     """Policy of the person, or of each person in turn."""
     agents: tuple[str, ...]
-    """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
-    robot:my_robot.urdf,human:male_1."""
+    """Agents of the episode (default: robot,human): kinds, bodies, files, or a kind with one of these, as in
+    robot,human,male_1 or robot:my_robot.urdf,human:male_1."""
     robot: str | None
     """Body of each agent named robot: a built-in one, a URDF or MJCF file, or a folder with robot.toml (default: quad_arm)."""
     human: str | None

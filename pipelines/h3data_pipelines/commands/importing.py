@@ -1,4 +1,4 @@
-"""``h3data import``: turns recordings of other programs into MCAP recordings."""
+"""Command ``h3data import``, which converts recordings of other programs to MCAP recordings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def import_(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Turn recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
+    """Convert recordings of other programs to MCAP recordings in the folder ``out``; options as of ``h3data import``.
 
     Returns:
         The outcome for every file.
@@ -76,8 +76,8 @@ class Import:
     assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     manifest: Path | None
-    """CSV table of a study: who (participant) did which file, user_id or episode_id under which condition
-    (h3data docs import)."""
+    """CSV table of a study, which assigns participants and conditions to files, user_ids or episode_ids (h3data docs
+    import)."""
     fps: float
     """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
     people: str
@@ -104,7 +104,7 @@ class Import:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Convert the files and return what was imported and what could not be."""
+        """Convert the files and return the imported ones and the failures."""
         result = import_files(
             self.paths,
             self.out,

@@ -1,4 +1,4 @@
-"""``h3data info``: contents of recordings, datasets and episode files, without measuring or rendering."""
+"""Command ``h3data info``: contents of recordings, datasets and episode files, without measuring or rendering."""
 
 from __future__ import annotations
 

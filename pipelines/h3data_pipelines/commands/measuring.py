@@ -1,4 +1,4 @@
-"""``h3data metrics``: tables of recordings and datasets by several profiles, and explanations of metrics and values."""
+"""Command ``h3data metrics``: tables of recordings and datasets by several profiles, and explanations of values."""
 
 from __future__ import annotations
 

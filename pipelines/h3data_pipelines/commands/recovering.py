@@ -1,4 +1,4 @@
-"""``h3data recover``: saves the readable part of a recording that was cut off."""
+"""Command ``h3data recover``, which saves the readable part of a recording that was cut off."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Recover:
     recording: tyro.conf.Positional[Path]
     """An .mcap file, or the .part file that an interrupted run left."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The new recording; the old file is kept."""
+    """New recording; the old file stays."""
     force: ForceFlag = False
     json: JsonFlag = False
 

@@ -1,4 +1,4 @@
-"""``h3data replay``: simulates a recording again to check it, to continue from any step, or to try another policy."""
+"""Command ``h3data replay``, which simulates a recording again to check it, to continue it, or to try another policy."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class ReplayCommand:
     verify: bool = False
     """Compare the simulation with the recording, bit for bit."""
     resume_from: int | None = None
-    """Keep this many steps and simulate the rest."""
+    """Number of steps to keep; the rest is simulated."""
     counterfactual: bool = False
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
     added_time: bool = False
-    """Simulate people of crowds once more without robots: by how many seconds do the robots make each of them later?"""
+    """Simulate people of crowds again without robots, to compute by how many seconds the robots delay each of them."""
     policies: tuple[str, ...] = ()
     """Policy of the robot, or of each robot in turn (default: the recording's own). h3data generate TASK --help lists them."""
     partners: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
+"""Command ``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors() -> Iterator[None]:
-    """Turn DuckDB's errors into an `InputError` of one line; its message names the closest columns."""
+    """Turn DuckDB's errors into an `InputError` of one line, whose message names the closest columns."""
     import duckdb
 
     try:
@@ -343,7 +343,10 @@ def step_source(dataset: DatasetFolder) -> pads.Dataset:
 
 
 def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
-    """All records with their ``episode_index``: ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``."""
+    """Return all records with their ``episode_index``.
+
+    ``kind`` is ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``.
+    """
     schema = record_schema(SIDECARS[kind])
     tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
     return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")

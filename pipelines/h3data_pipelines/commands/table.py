@@ -72,8 +72,8 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "plan": Plan,
     "completion": Completion,
 }
-"""Commands in the order in which help lists them. None stands for one that another package registers; those that are not here
-follow, from A to Z."""
+"""Commands in the order in which help lists them. None stands for one that another package registers; others follow in
+alphabetical order."""
 REGISTRY: Registry[type[Command] | Group] = Registry(
     "h3data.commands", {name: command for name, command in TABLE.items() if command is not None}, what="command"
 )

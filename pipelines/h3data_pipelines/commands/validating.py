@@ -1,4 +1,4 @@
-"""``h3data validate``: faults of recordings, as a table or as JSON."""
+"""Command ``h3data validate``: faults of recordings, as a table or as JSON."""
 
 from __future__ import annotations
 

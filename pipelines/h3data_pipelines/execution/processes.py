@@ -1,4 +1,4 @@
-"""Shards by this process, or by several of this machine."""
+"""Execution of shards in this process, or in several processes of this machine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from h3data.commands.shards import LostShardError, R, S
 _log = logging.getLogger(__name__)
 
 TRIES = 3
-"""Number of times that a shard is begun before it is given up, when its process dies each time."""
+"""Number of times that a shard is begun before it is given up, if its process dies each time."""
 _AHEAD = 4
 """Number of shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
 
@@ -35,13 +35,13 @@ def core_count() -> int:
 
 @contextmanager
 def local_processes(address: str, workers: int) -> Iterator[Processes]:
-    """The executor ``local``; it has no address."""
+    """Run the block with the executor ``local``, which has no address."""
     yield Processes(workers)
 
 
 @dataclass(frozen=True)
 class Processes:
-    """The executor ``local``."""
+    """Executor ``local``."""
 
     workers: int
 

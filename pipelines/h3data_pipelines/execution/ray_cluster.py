@@ -1,4 +1,4 @@
-"""Shards by the workers of a Ray cluster, or of Ray on this machine.
+"""Execution of shards by the workers of a Ray cluster, or of Ray on this machine.
 
 Ray only carries shards and results; which shards there are, and their results, are those of `Processes`. A worker or node
 that dies costs the shards it had: they are tried again. A straggler is tried a second time when nothing else is left to
@@ -24,9 +24,9 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
 
 TRIES = 4
-"""Number of times that a shard is begun before it is given up, when the process that had it dies each time."""
+"""Number of times that a shard is begun before it is given up, if its process dies each time."""
 NODE_TRIES = 20
-"""Number of tries when the whole node dies, for which the shard is hardly to blame."""
+"""Number of tries if the whole node dies, for which the shard is hardly to blame."""
 _AHEAD = 4
 """Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
@@ -132,7 +132,7 @@ def _signals_kept() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class RayWorkers:
-    """The executor ``ray``."""
+    """Executor ``ray``."""
 
     workers: int
     threads: int = 1
@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Run shards as `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
+        """Run shards as `Executor.run`. An exception ends the job; a process that dies costs only its shards."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):

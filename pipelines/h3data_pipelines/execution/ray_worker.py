@@ -42,14 +42,14 @@ _DECIDES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True)
 class Origin:
-    """The process that asks: what a worker must have in common with it for the same bytes, and where paths begin."""
+    """Properties of the requesting process that a worker must share to give the same bytes, and its working directory."""
 
     code: str
-    """Digest of our own source files."""
+    """Digest of the source files of h3data."""
     packages: str
-    """Versions of what decides the numbers."""
+    """Versions of packages that affect numerical results."""
     folder: str
-    """Working directory, where it exists on the worker's machine too."""
+    """Working directory, if it also exists on the worker's machine."""
 
     @classmethod
     def of_this_process(cls) -> Origin:
@@ -58,7 +58,7 @@ class Origin:
         return cls(source_digest(), packages, os.getcwd())
 
     def to_json(self) -> str:
-        """JSON of all fields; the inverse of `from_json`."""
+        """Encode all fields as JSON; the inverse of `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -69,7 +69,7 @@ class Origin:
 
 @functools.cache
 def source_digest() -> str:
-    """SHA-256 (hex) of all source files of h3data: the same version with an edited file is another."""
+    """Return the SHA-256 (hex) of all source files of h3data, which differs after any edit."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         spec = find_spec(package)
@@ -81,7 +81,7 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """Work on a shard in a worker.
+    """Carry out the work on a shard in a worker.
 
     Returns:
         ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or
@@ -127,7 +127,7 @@ def _pickled(error: Exception) -> bytes:
 
 
 def portable_task() -> Callable[[str, bytes], tuple[str, Any]]:
-    """Return the function that Ray sends to workers by value, so that it can say that the node lacks the package."""
+    """Return the function that Ray sends to workers by value, so that it can report that a node lacks the package."""
 
     def h3data_shard(origin: str, payload: bytes) -> tuple[str, Any]:
         import platform

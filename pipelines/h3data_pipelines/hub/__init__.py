@@ -1,1 +1,1 @@
-"""Datasets among people: cards that describe them, and the Hugging Face Hub that holds them."""
+"""Sharing of datasets: cards that describe them, and the Hugging Face Hub."""

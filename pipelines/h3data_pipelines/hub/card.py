@@ -1,4 +1,4 @@
-"""``h3data card``: a README.md for a dataset, as the Hugging Face Hub shows it."""
+"""Command ``h3data card``: a README.md for a dataset, as the Hugging Face Hub shows it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
 """Number of episodes in the picture."""
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
-"""Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
+"""Number of moments of an episode from which the one with the most visible things is chosen, and the width of the
+pictures for this choice [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20
 """Share of a picture that a visible thing covers, and the number of other things that an agent counts for."""
 _HEIGHT, _WIDTH = 180, 320
@@ -271,7 +272,7 @@ def _seeds(seeds: Iterable[int]) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 def card_picture(dataset: Dataset) -> NDArray[np.uint8] | None:
-    """Return moments of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
+    """Return moments of some episodes side by side, above the first camera's views of them; None without steps."""
     played = [row["episode_index"] for row in dataset.rows if row["length"]]
     if not played:
         return None

@@ -1,4 +1,4 @@
-"""SHA-256 of every file of a dataset, in ``h3/checksums.json``: a copy can be compared with the original."""
+"""SHA-256 of every file of a dataset, in ``h3/checksums.json``, for comparison of a copy with the original."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def files_of(root: Path) -> list[str]:
 
 
 def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of files by their path below ``root``."""
+    """Return the SHA-256 of files by their path below ``root``."""
     return {name: file_sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
 
 
@@ -35,7 +35,7 @@ def to_json(checksums: Mapping[str, str]) -> bytes:
 
 
 def require_checksums(root: Path) -> int:
-    """Compare the files of a copy with the checksums that came along; return their number, 0 if there are none.
+    """Compare the files of a copy with the checksums in it; return their number, 0 if there are none.
 
     Raises:
         FormatError: files are missing or damaged; the message names them.
@@ -65,7 +65,7 @@ def require_checksums(root: Path) -> int:
 
 
 def file_sha256(path: AnyPath) -> str:
-    """SHA-256 of a file, also of one in an object store, read in blocks."""
+    """Return the SHA-256 of a file, also of one in an object store, read in blocks."""
     digest = hashlib.sha256()
     with open_binary(path) as stream:
         while block := stream.read(_BLOCK):

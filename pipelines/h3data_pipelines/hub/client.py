@@ -1,4 +1,4 @@
-"""The Hugging Face Hub as push and pull see it: its library, the names of datasets, and what goes wrong in words."""
+"""Client of the Hugging Face Hub: its library, the names of datasets, and errors in words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TOKEN_HINT = "Hint: make a token at https://huggingface.co/settings/tokens, the
 
 
 def checked_repo(repo: str) -> str:
-    """Return the name of a dataset on the Hub, ``user/name``; its address and ``hf://datasets/user/name`` are taken too.
+    """Return the name of a dataset on the Hub, ``user/name``; its address and ``hf://datasets/user/name`` are accepted too.
 
     Raises:
         InputError: it is something else.
@@ -29,7 +29,7 @@ def checked_repo(repo: str) -> str:
 
 
 def hub_api() -> Any:
-    """`huggingface_hub.HfApi` for the server that ``HF_ENDPOINT`` names.
+    """Return the `huggingface_hub.HfApi` for the server that ``HF_ENDPOINT`` names.
 
     Raises:
         MissingExtraError: the extra ``hub`` is not installed.
@@ -45,7 +45,7 @@ def hub_api() -> Any:
 
 @contextmanager
 def hub_errors(repo: str, *, to: str) -> Iterator[None]:
-    """Turn errors of the Hub into an `InputError` that says what to do, and its progress bars off.
+    """Turn errors of the Hub into an `InputError` with advice, and turn its progress bars off.
 
     Args:
         repo: Name of the dataset.

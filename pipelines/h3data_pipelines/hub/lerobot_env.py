@@ -1,4 +1,4 @@
-"""A folder with the ``env.py`` that LeRobot looks for on the Hub: the environment of a dataset."""
+"""Folder with the ``env.py`` that LeRobot expects on the Hub: the environment of a dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands that made a dataset, kept in ``h3/commands.json``."""
+"""Commands that made a dataset, stored in ``h3/commands.json``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FILE = "commands.json"
 
 
 def write_commands(root: AnyPath, commands: Sequence[str]) -> None:
-    """Keep the commands, the first one first."""
+    """Store the commands, in order."""
     write_atomic(root / "h3" / FILE, json.dumps({"commands": list(commands)}, indent=1, ensure_ascii=False).encode())
 
 

@@ -1,4 +1,4 @@
-"""``h3data pull``: a dataset from the Hugging Face Hub."""
+"""Command ``h3data pull``: a dataset from the Hugging Face Hub."""
 
 from __future__ import annotations
 

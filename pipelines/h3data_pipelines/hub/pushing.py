@@ -1,4 +1,4 @@
-"""``h3data push``: a dataset onto the Hugging Face Hub."""
+"""Command ``h3data push``: a dataset onto the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath
 
 VERSION_TAG = "v3.0"
-"""LeRobot loads the revision that is tagged with the version of its format."""
+"""Tag of the revision that LeRobot loads: the version of its format."""
 _BATCH = 16
 """Number of files uploaded between two updates of the progress bar."""
 
@@ -65,7 +65,7 @@ class Push:
     repo: tyro.conf.Positional[str]
     """Name on the Hub, as user/name; created if it does not exist."""
     private: bool
-    """Create it as a private dataset. One that exists stays as it is."""
+    """Create it as a private dataset. An existing dataset stays as it is."""
     message: str
     """Message of the commit."""
     env: Path | None

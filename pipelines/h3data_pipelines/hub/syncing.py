@@ -1,4 +1,4 @@
-"""``h3data sync``: a copy of a dataset in another folder or object store, and what is new in it the next time."""
+"""Command ``h3data sync``: a copy of a dataset in another folder or object store, and its update."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Sync:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Copies the files that are missing in the target and returns how many there were."""
+        """Copy the files that are missing in the target and return their number."""
         source, target = place(self.source), place(self.target)
         if not is_dataset(source):
             raise InputError(f"Expected a dataset to copy, there is none: {source}", code="H3-HUB-013")

@@ -1,4 +1,4 @@
-"""``<recording>.cameras.json``: which videos there are of a recording, from which camera, which was where at every frame.
+"""File ``<recording>.cameras.json``: the videos of a recording, their cameras, and the cameras' poses at every frame.
 
 The file is also what makes rendering resumable: an output that it lists, made of the same things, is not drawn again.
 """
@@ -21,7 +21,7 @@ from h3data_pipelines.outputs import Target
 
 
 class CameraLog:
-    """The file of one recording in one folder; missing or of an earlier run."""
+    """File of one recording in one folder; it may be missing or from an earlier run."""
 
     def __init__(
         self, folder: Path, stem: str, replay: Replay, steps: range, *, samples: int = 1, backend: str = "cpu"
@@ -53,7 +53,7 @@ class CameraLog:
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
-        """Return whether the output is there, complete and made of the same things."""
+        """Return whether the output exists, is complete and was made from the same inputs."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         entry = outputs.get(target.output, {}) if isinstance(outputs, Mapping) else {}
         return entry.get("made_of") == self.made_of(track, target) and target.path.exists()
@@ -68,7 +68,7 @@ class CameraLog:
             self._write()
 
     def add(self, track: CameraTrack, targets: Sequence[Target], *, fps: float) -> None:
-        """List outputs that are complete now."""
+        """List complete outputs."""
         steps = list(self._steps)
         times = self._replay.recording.columns["time_ns"][steps]
         before = self._cameras.get(track.camera.name, {}).get("outputs", {})

@@ -18,8 +18,8 @@ from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary,
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
 ZSC_COLUMN, ZSC_TEN_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC ten", "ZSC mean"
-"""Heads of the columns of the paper's four planners, of these and six learned partners, and of a population that the user
-names."""
+"""Heads of the columns for the paper's four planners, for these and six learned partners, and for a population that the
+user names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,30 +30,30 @@ class Row:
     policy: str
     partner: str
     plan: str
-    """The partner's plan in this episode."""
+    """Plan of the partner in this episode."""
     ended: str
     solo_steps: int
     values: dict[str, float | None]
-    """The paper's metrics; None = undefined."""
+    """Values of the paper's metrics; None = undefined."""
     state_hash: str
     set_up: str = ""
-    """Rules that differ from the paper's."""
+    """Rules of the episode that differ from the paper's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossPlayTable:
-    """Robots by partners, for each metric."""
+    """Table of robots by partners, for each metric."""
 
     policies: tuple[str, ...]
     partners: tuple[str, ...]
-    """Names; last the zero-shot population together, if there is one."""
+    """Names of the partners; the last one is the whole zero-shot population, if there is one."""
     cells: dict[tuple[str, str, str], Summary]
     """Summaries by metric, policy and partner."""
     episodes: int
     solo_steps: float
     """Mean steps of the person alone."""
     seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Policies of robots that are one row, by the pattern that names them."""
+    """Policies of robots that share one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
     """Rules of each result that differ from the paper's."""
 
@@ -83,7 +83,7 @@ class CrossPlayTable:
         return SeedsSummary(each={name: cell for name, cell in found.items() if cell is not None})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows of several policies."""
         pooled = [
             {
                 "metric": metric.name,

@@ -27,7 +27,7 @@ _SHOWN = 20
 
 
 class FileJobs(NamedTuple):
-    """The episodes of a file."""
+    """Episodes of a file."""
 
     jobs: Sequence[Job]
     left_out: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class MissingEpisodes(Protocol):
 
 
 def notes_on(made: MissingEpisodes) -> str:
-    """Return lines on what a file lacks, each after a line break."""
+    """Return lines on missing data of a file, each after a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
         lines += [f"{word} {text}" for text in texts[:_SHOWN]]
@@ -61,7 +61,7 @@ def notes_on(made: MissingEpisodes) -> str:
 
 
 class EpisodeRequest(Protocol):
-    """Request for episodes that a command plays: those of a file, or of scenes."""
+    """Request for the episodes of a command: those of a file, or of scenes."""
 
     @property
     def episodes_file(self) -> Path | None:
@@ -70,7 +70,7 @@ class EpisodeRequest(Protocol):
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Scenes, as the option ``--scenes`` names them."""
+        """Scenes, as in the option ``--scenes``."""
         ...
 
     @property
@@ -237,7 +237,7 @@ def claim_episode_file(path: Path, *, force: bool) -> None:
 
 
 def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
-    """Write the episodes of jobs as a file that `file_jobs` makes the same ones of; return why others are left out.
+    """Write the episodes of jobs as a file from which `file_jobs` makes the same jobs; return reasons for left-out ones.
 
     Raises:
         SceneError: none can be sampled.

@@ -19,9 +19,9 @@ class EpisodePart:
     paths: tuple[AnyPath, ...]
     indices: range
     count: int
-    """Number of all parts."""
+    """Total number of parts."""
     job: str
-    """Job that the part belongs to; within a job, each process looks below the paths once."""
+    """Name of the job of the part; within a job, each process searches the paths once."""
 
     def sources(self) -> Sequence[StoredEpisode]:
         """Return the episodes of this part."""

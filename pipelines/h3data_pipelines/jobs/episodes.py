@@ -24,24 +24,24 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 SAMPLED_BODIES = ("any", "random")
-"""Name of a body that stands for sampling: each episode samples one of the built-in ones, or makes one of its seed."""
+"""Name that stands for sampled bodies: each episode samples a built-in body, or makes a body from its seed."""
 SOLO = "solo"
-"""Name of the policy with which robots take no part."""
+"""Name of the policy for episodes without robots."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Episode to simulate, with all that a worker needs to know."""
+    """Episode to simulate, with all data for a worker."""
 
     index: int
     seed: int
     scene: str
-    """Name on the command line."""
+    """Name of the scene on the command line."""
     source: SceneSource
     task: str
-    """Name or ``module:Class``."""
+    """Name of the task, or ``module:Class``."""
     spec: Any
-    """The task's rules."""
+    """Rules of the task."""
     policy: str | None = None
     """Policies of robots; None: the task's default."""
     partner: str | None = None
@@ -49,15 +49,15 @@ class Job:
     agents: tuple[str, ...] | None = None
     """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
     human: str | None = None
-    """Model of person that stands for the kind ``human``; None: the episode's, else the default."""
+    """Model of a person for agents of the kind ``human``; None: the episode's, else the default."""
     robot: str | None = None
-    """Model of robot that stands for the kind ``robot``."""
+    """Model of a robot for agents of the kind ``robot``."""
     drawn_with: Any = None
-    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes of them."""
+    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes."""
     stored: StoredEpisode | None = None
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
-    """Set or file that the episode comes from, and its number there; ends up in the recording."""
+    """Set or file that the episode comes from, and its number there, as in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
@@ -94,7 +94,7 @@ class Job:
         return find_task(self.task)
 
     def episode(self) -> Episode:
-        """Scene, starts and rules, ready to run."""
+        """Return the episode with scene, starts and rules, ready to run."""
         from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
         from sim_kinematic.tasks.codec import EpisodePlace
@@ -142,12 +142,12 @@ class Job:
 
 # --- where they come from ---------------------------------------------------------------------------------------------
 ORACLE = "oracle"
-"""Skills under rules so simple that a GPU plays them too."""
+"""Name of the skills under simple rules, which a GPU also supports."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Choices of the user; None leaves one to the episode, or to the task."""
+    """Choices of the user; for None, the episode or the task decides."""
 
     task: str
     policy: str | None = None
@@ -155,7 +155,7 @@ class Choices:
     agents: tuple[str, ...] | None = None
     human: str | None = None
     motion: str | None = None
-    """Motion file of people's walk."""
+    """Motion file of people's gait."""
     robot: str | None = None
     rules: str | None = None
     """Name of a set of rules."""
@@ -171,13 +171,13 @@ class Choices:
 
     @cached_property
     def found_task(self) -> Task:
-        """Return the task."""
+        """Return the task that the user has chosen."""
         from sim_kinematic.tasks.registry import find_task
 
         return find_task(self.task)
 
     def spec(self, base: Any = None) -> Any:
-        """Rules: ``base`` (default: the task's) with the changes that the user asks for."""
+        """Return the rules: ``base`` (default: the task's) with the changes that the user asks for."""
         from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = dataset_rules(self.found_task) if base is None else base
@@ -270,7 +270,7 @@ class SampledEpisode:
     index: int
     seed: int
     scene: str
-    """Name on the command line."""
+    """Name of the scene on the command line."""
     source: SceneSource
     origin: dict[str, Any] | None = None
     """Set that the episode comes from, and its number there."""
@@ -308,7 +308,7 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Return episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
+    """Return episodes in the scenes of ``scenes``: all of a set by default, else 10, in turn.
 
     Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
@@ -337,7 +337,7 @@ def make_jobs(
 
 
 class SampledJobs(Sequence[Job]):
-    """Episodes distributed over some scenes in turn, each made on request: a plan of a billion costs nothing."""
+    """Episodes distributed over some scenes in turn, each made on demand: a plan of a billion takes no memory."""
 
     def __init__(self, choices: Choices, places: Sequence[NamedScene], numbers: range, *, seed: int) -> None:
         self._choices, self._places, self._numbers, self._seed = choices, places, numbers, seed
@@ -362,7 +362,7 @@ class SampledJobs(Sequence[Job]):
 
     @property
     def one_round(self) -> SampledJobs:
-        """The first episodes, one in each scene; all others differ from these in nothing but number and seed."""
+        """First episodes, one in each scene; all others differ from these only in number and seed."""
         return self[: len(self._places)]
 
 
@@ -372,14 +372,14 @@ def scenes_of(jobs: Sequence[Job]) -> list[str]:
 
 
 def most_steps(jobs: Sequence[Job]) -> int:
-    """Steps that the episodes have together if each is as long as its rules allow."""
+    """Return the total number of steps of the episodes if each is as long as its rules allow."""
     if isinstance(jobs, SampledJobs):
         return len(jobs) * jobs[0].spec.max_steps
     return sum(job.spec.max_steps for job in jobs)
 
 
 def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
-    """The first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
+    """Yield the first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i, "" if seed else task)
         origin = {
@@ -457,7 +457,7 @@ def checked(choices: Choices) -> Choices:
 
 
 def dataset_rules(task: Task) -> Any:
-    """Return the rules of a task's datasets, where the user asks for no others."""
+    """Return the default rules of a task's datasets."""
     return task.Spec() if task.usage.dataset_rules is None else task.usage.dataset_rules
 
 
@@ -467,7 +467,7 @@ def _named_default(task: Task, kind: str) -> str | None:
 
 
 def stored_person(name: str) -> str:
-    """Return the name of a person by which episodes are known: a motion by its digest, not by its path."""
+    """Return the name of a person in the identity of episodes: a motion by its digest, not by its path."""
     from h3data.bodies.names import JOIN
 
     if JOIN not in name:

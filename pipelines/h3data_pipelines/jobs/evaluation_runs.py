@@ -31,7 +31,7 @@ from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
 from h3data_pipelines.jobs.result_files import check_options, results_of, write_table
 
 RECORDINGS = "recordings"
-"""Folder below that of an evaluation."""
+"""Name of the folder of recordings in that of an evaluation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +40,9 @@ class EvaluationRequest:
 
     task: str
     policies: tuple[str, ...] = (ALL,)
-    """Robots, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
+    """Policies of robots, or ``all``. ``weights:PATTERN`` stands for all files that match, which share one row."""
     partners: tuple[str, ...] = (ALL,)
-    """People, or ``all``."""
+    """Policies of people, or ``all``."""
     unseen_partners: tuple[str, ...] = ()
     """Partners over which the zero-shot mean is taken (default: the paper's four planners, if all play)."""
     scenes: tuple[str, ...] = ("h3-homes/test",)
@@ -63,21 +63,21 @@ class EvaluationRequest:
     human_speed: float | None = None
     max_steps: int | None = None
     skills: str = ""
-    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
-    those that know all."""
+    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``;
+    empty: skills that know the whole state."""
     overrides: tuple[tuple[str, Any], ...] = ()
     """Single fields of the task's rules, by name."""
     light: LightMode | None = None
     """Light in the colours that policies observe; None: that in which each was trained."""
     uids: tuple[str, ...] = ()
-    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in their order; empty: any."""
+    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in order; empty: any."""
 
     def jobs(self) -> list[Evaluation]:
-        """Return all episodes, or an `InputError` that names the bad option."""
+        """Return all episodes; raise an `InputError` that names a bad option."""
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """Return all episodes, and what a file lacks; an `InputError` names the bad option."""
+        """Return all episodes, and the missing data of a file; raise an `InputError` that names a bad option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
@@ -124,7 +124,7 @@ class EvaluationRequest:
 
     @property
     def seeds(self) -> dict[str, tuple[str, ...]]:
-        """Policies that are one row of the table, as they are recorded, by the pattern that names them."""
+        """Policies that share one row of the table, by their recorded names, for each pattern."""
         from sim_kinematic.policies.learned import in_light, stamped
 
         found = {name: files_of(name) for name in self.policies}
@@ -136,7 +136,7 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``unseen_partners``, learned ones as those of partners are recorded, by the digest of their weights."""
+        """Names in ``unseen_partners``; learned ones as recorded for partners, by the digest of their weights."""
         from sim_kinematic.policies.learned import stamped
 
         return tuple(dict.fromkeys(map(stamped, self.unseen_partners)))
@@ -152,11 +152,11 @@ class EvaluationResult:
     """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
-    """Number of episodes played now; the others were there."""
+    """Number of episodes played now; the others existed already."""
     failed: tuple[str, ...]
-    """Pairs that raised: episode, seed, names and error."""
+    """Episodes that raised an error: episode, seed, names and error."""
     left_out: tuple[str, ...] = ()
-    """Episodes of the file that cannot be played, and why."""
+    """Episodes of the file that cannot be played, with the reason."""
     warnings: tuple[str, ...] = ()
     """Warnings about stand-ins for missing assets."""
     job: dict[str, Any]
@@ -164,7 +164,7 @@ class EvaluationResult:
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
-        """Return the tables, and what failed."""
+        """Return the tables, and a list of failures."""
         return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed) + notes_on(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -208,7 +208,7 @@ def evaluate_task(
 
     Raises:
         InputError: an option cannot be, or the folder holds results of other options, or anything else.
-        FormatError: a file among the results is none.
+        FormatError: a file among the results is not a result.
     """
     check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs, asked = request.evaluations()

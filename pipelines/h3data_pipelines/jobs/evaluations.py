@@ -30,7 +30,7 @@ class Evaluation:
     partners: tuple[str, ...] = ()
     """Policies of the partners; empty if people follow the task's default."""
     keep: bool = False
-    """True if the recordings of all pairs are results too."""
+    """True if the recordings of all pairs are part of the result."""
     uid: str | None = None
     """Identity that the episode must have (`episode_uid`), if a benchmark fixes it."""
 
@@ -121,7 +121,7 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
 
 
 def episode_uid(task: Task, episode: Episode) -> str:
-    """Identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
+    """Return the identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
     from sim_kinematic.policies.assignment import AssignedPolicy
 
     return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
@@ -142,7 +142,7 @@ def check_identity(task: Task, episode: Episode, uid: str) -> None:
 
 
 def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
-    """A dataset that appears under its name when it is complete; none of no recordings."""
+    """Write recordings as a dataset that gets its name when it is complete; nothing without recordings."""
     from h3data.recording import DatasetWriter
 
     part = folder.with_name(f".{folder.name}.part")
@@ -187,7 +187,7 @@ def files_of(policy: str) -> tuple[str, ...]:
 
 
 def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
-    """Return names of policies that an option asks for.
+    """Return the names of policies that an option selects.
 
     ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
     of their weights.

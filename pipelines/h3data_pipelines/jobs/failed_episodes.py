@@ -1,4 +1,4 @@
-"""Episodes that raised: the job goes on, and their place in the dataset says why."""
+"""Episodes that raised an error: the job continues, and their place in the dataset states the reason."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_LISTED = 20
 
 
 def reason_of(fault: Exception) -> str:
-    """Return one line about what went wrong, with the error's code; for errors that nobody foresaw, also where."""
+    """Return one line about an error with its code; for unexpected errors, also the place."""
     if isinstance(fault, H3DataError):
         return " ".join(with_code(fault).split())
     frame = traceback.extract_tb(fault.__traceback__)[-1]
@@ -47,7 +47,7 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
 
 
 def stopped_job(stop: JobStopError, left: Sequence[int]) -> JobStopError:
-    """Return the error of a job that cannot go on, with the numbers of the episodes that are left."""
+    """Return the error of a job that cannot continue, with the numbers of the remaining episodes."""
     more = f" and {len(left) - MOST_LISTED} more" if len(left) > MOST_LISTED else ""
     listed = ", ".join(map(str, left[:MOST_LISTED])) + more
     return JobStopError(f"{stop} Not played: {counted(len(left), 'episode')} ({listed}).", code=stop.code)
@@ -59,7 +59,7 @@ def is_failed(recording: Recording) -> bool:
 
 
 def beside(failed: Recording, played: Recording) -> Recording:
-    """A failed episode as a dataset holds it that has ``played`` too: the same agents, roles and columns, without rows."""
+    """Return a failed episode without rows, with the agents, roles and columns of ``played``, for the same dataset."""
     columns = {name: array[:0] for name, array in played.columns.items()}
     nowhere = np.full(7, np.nan, np.float32)
     moving = columns["object_pose"].shape[1] if "object_pose" in columns else 0

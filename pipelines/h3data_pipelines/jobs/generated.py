@@ -1,4 +1,4 @@
-"""The episodes of a generated dataset: what they add up to, and whether other options would make them."""
+"""Episodes of a generated dataset: their totals, and whether other options would give the same ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Generated:
 
     dataset: Dataset
     new: int
-    """Number of episodes of this run; the others were there before it resumed."""
+    """Number of episodes of this run; the others existed before it resumed."""
     failed: tuple[str, ...]
     """Episodes that could not be played: number, seed and error."""
     metrics: MetricsTable
@@ -34,7 +34,7 @@ class Generated:
 
 
 class WrittenDataset:
-    """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
+    """Episodes of a dataset, read once, with their totals. It also writes requested logs that are missing."""
 
     def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:
         if isinstance(share_in, RemotePath):
@@ -67,7 +67,7 @@ class WrittenDataset:
 
 
 def first_played(writer: DatasetWriter) -> Recording | None:
-    """Return an episode of a dataset to go on with that did not fail."""
+    """Return an episode of a dataset to be continued that did not fail."""
     from h3data.recording import Dataset
 
     if not len(writer):
@@ -88,7 +88,7 @@ def whose(job: Job) -> str:
 
 
 def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
-    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
+    """Raise an error if ``jobs`` would make other episodes than those of a dataset, or if the videos differ."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import shard_files
 

@@ -1,4 +1,4 @@
-"""Imports recordings of other programs, file by file, and tells what became of each."""
+"""Import of recordings of other programs, file by file, with a result for each."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 @dataclass(frozen=True)
 class ImportJob:
-    """File to import and the recording that it becomes."""
+    """File to import and the recording to write."""
 
     source: Path
     target: Path
     below: PurePosixPath
-    """Path of the file below the folder that was named; of a single file, its name."""
+    """Path of the file relative to the named folder; for a single file, its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +35,14 @@ class ImportedFile:
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
-    """Result for one file; "kept" means that an earlier import has written this very recording."""
+    """Result for one file; "kept" means that an earlier import has written the same recording."""
     kind: str = "unknown"
     """Name of the file's format."""
     recording: Path | None = None
     reason: str = ""
     """Reason why the file was not imported."""
     code: str = ""
-    """The code of the error, where there was one."""
+    """Code of the error, if there was one."""
     summary: dict[str, Any] = field(default_factory=dict)
     """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
 
@@ -60,7 +60,7 @@ class ImportResult:
 
     files: tuple[ImportedFile, ...]
     manifest_notes: tuple[str, ...] = ()
-    """Rows of the manifest that fit nothing, recordings that no row fits, columns without a meaning."""
+    """Rows of the manifest that match no file, recordings without a row, and columns with unknown names."""
 
     def count(self, status: str) -> int:
         """Return the number of files with a status."""
@@ -131,7 +131,7 @@ def _is_imported(recording: Recording, target: Path) -> bool:
 
 
 def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
-    """Counts of a recording, and which of its asset files are missing below the library's roots."""
+    """Count a recording's contents, and list its asset files that are missing below the library's roots."""
     missing = Replay(recording, assets=library).missing
     info = recording.episode.info
     return {

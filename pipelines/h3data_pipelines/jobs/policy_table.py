@@ -13,23 +13,23 @@ from h3data.terminal import aligned
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
 
 MOST_COLUMNS = 30
-"""Profiles with more metrics are printed by the columns of their report."""
+"""Largest number of metrics of a profile in full tables; other tables have the columns of the profile's report."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyTable:
-    """Policies by metrics."""
+    """Table of policies by metrics."""
 
     profile: Profile
     cells: dict[tuple[str, str], Summary]
     """Summaries by policy and metric."""
     seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Policies that are one row, by the pattern that names them."""
+    """Policies that share one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Measured rows with intervals, followed by published ones; a sentence if there are no results."""
+        """Return the measured rows with intervals, followed by published ones; a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         shown = self._columns()
@@ -53,7 +53,7 @@ class PolicyTable:
         return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows of several policies."""
         cells = [
             {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
         ]

@@ -64,7 +64,7 @@ def results_of(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Return the results of all jobs, in their order, and how many were new. Those that are in the folder are not played again.
+    """Return the results of all jobs, in order, and the number of new ones. Results in the folder are not computed again.
 
     Args:
         jobs: Jobs, one for each episode.
@@ -78,7 +78,7 @@ def results_of(
 
     Raises:
         InputError: the folder holds results of other options, or anything else.
-        FormatError: a file among the results is none.
+        FormatError: a file among the results is not a result.
         JobStopError: the whole job cannot go on; the results so far stay.
     """
     folder = out / RESULTS

@@ -1,4 +1,4 @@
-"""Episodes as shards: played, and filmed on request; what raises is listed, not fatal."""
+"""Episodes as shards: played, and rendered on request; errors are listed and do not stop the job."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ class VideoJob:
 
 @dataclass(frozen=True)
 class RenderedVideo:
-    """Result of a shard: one episode with its videos, wherever it was made."""
+    """Result of a shard: one episode with its videos."""
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()
-    """Content and file of each video; the paths are those of the machine that made them."""
+    """Content and file of each video; the paths are those of the machine that rendered them."""
 
     @contextmanager
     def video_files(self) -> Iterator[list[EpisodeVideo]]:
@@ -114,7 +114,7 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
 
 
 def film_jobs(jobs: Sequence[Job], *, filming: VideoJob, executor: Executor) -> Generator[RenderedVideo]:
-    """Recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
+    """Yield recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
     yield from executor.run(
         partial(film_job, filming=filming),
         jobs,

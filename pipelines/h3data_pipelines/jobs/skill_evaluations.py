@@ -1,4 +1,4 @@
-"""Judges learned skills one by one: each of them in the same episodes of rearrangement, with the robot alone."""
+"""Evaluation of learned skills one by one, each in the same episodes of rearrangement, with the robot alone."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class SkillJob:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillEvaluationResult:
-    """The outcomes of all episodes."""
+    """Outcomes of all episodes."""
 
     skills: str
     rows: tuple[dict[str, Any], ...]
     """Rows of the result: one for each skill in each episode."""
     failed: tuple[str, ...]
-    """Episodes that raised, and why."""
+    """Episodes that raised an error, with the reason."""
     new: int
 
     def summary(self) -> list[dict[str, Any]]:
-        """Success with its interval, steps, and why the others failed, by skill."""
+        """Return the success rate with its interval, the steps and the reasons of failures of each skill."""
         from h3data.stats import wilson_interval
 
         found = []
@@ -73,7 +73,7 @@ class SkillEvaluationResult:
         return found
 
     def to_text(self) -> str:
-        """Return the table, and what failed."""
+        """Return the table, and a list of failures."""
         lines = [f"{'skill':6} {'episodes':>8}  {'success':20} {'steps':>6} {'path m':>7} {'contact':>8}  failures"]
         for row in self.summary():
             least, most = row["interval"]

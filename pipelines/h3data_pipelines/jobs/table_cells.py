@@ -33,7 +33,7 @@ def cell_dict(cell: Summary) -> dict[str, float | None]:
 
 
 def or_none(value: float) -> float | None:
-    """Return the value as JSON has it: None for NaN."""
+    """Return the value for JSON: None instead of NaN."""
     return None if np.isnan(value) else value
 
 
@@ -60,7 +60,7 @@ class SeedsSummary:
         return float(self.means.std(ddof=1)) if len(self.means) > 1 else float("nan")
 
     def to_text(self, *, factor: float = 1.0, digits: int = 2) -> str:
-        """``0.95 ± 0.01``; ``-`` if no policy has a mean."""
+        """Return text such as ``0.95 ± 0.01``; ``-`` if no policy has a mean."""
         if not len(self.means):
             return "-"
         spread = f" ± {factor * self.deviation:.{digits}f}" if self.deviation == self.deviation else ""
@@ -81,7 +81,7 @@ def row_name(pattern: str, policies: Sequence[str]) -> str:
 
 
 def rows_of(policies: Sequence[str], seeds: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return rows of a table by name, each with its policies: one of several in the place of the first of them."""
+    """Return the policies of each row of a table, by name; a row of several is in the place of its first policy."""
     rows: dict[str, tuple[str, ...]] = {}
     of = {policy: pattern for pattern, members in seeds.items() for policy in members}
     for policy in policies:

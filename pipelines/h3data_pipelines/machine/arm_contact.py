@@ -16,18 +16,18 @@ from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 
 TOUCH_M = 1e-3
-"""Depth of contact up to which things rest on each other and do not collide, as an object on a table [m]."""
+"""Depth of contact up to which things rest on each other without collision, as an object on a table [m]."""
 
 
 class ArmTouch(NamedTuple):
     """A part that reaches into a thing."""
 
     part: str
-    """A link of the robot, or the name of the held object."""
+    """Name of a link of the robot, or of the held object."""
     thing: str
-    """The instance of the scene."""
+    """Name of the instance of the scene."""
     depth_m: float
-    """Depth [m] of the deepest contact between the two (`h3data`'s `Contact.depth_m` says how exact that is)."""
+    """Depth [m] of the deepest contact between the two (see `Contact.depth_m` for its accuracy)."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
 
@@ -53,7 +53,7 @@ class ArmContact:
         shapes: Sequence[Shape] = (),
         held_pose: ArrayLike | None = None,
     ) -> list[ArmTouch]:
-        """Present contacts, deepest first, at most one for each part and thing.
+        """Return present contacts, deepest first, at most one for each part and thing.
 
         Args:
             base_pose: The robot's root, pose7 [7].

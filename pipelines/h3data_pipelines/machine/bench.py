@@ -1,4 +1,4 @@
-"""``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
+"""Command ``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WORLDS = ("1", "16")
 ACTIONS = ("nav", "pick")
 BODIES = ("skinned", "bones")
 STARTED_WITHIN_S = 600.0
-"""Time for which processes wait for each other to build their worlds."""
+"""Time within which all processes must have built their worlds [s]."""
 PAPER = {
     ("small", "robot", 1): "245±19",
     ("large", "robot", 1): "154±14",
@@ -40,7 +40,8 @@ PAPER = {
     ("small", "human_robot", 1): "136±8",
     ("small", "human_robot", 16): "1191±3",
 }
-"""Frames per second by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3, appendix on speed)."""
+"""Frames per second in the paper by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3,
+appendix on speed)."""
 NOTES = (
     "FPS: steps of all worlds per second, mean ± standard error over the runs. CPU: user and system time per step and world.",
     "Paper: one Nvidia V100; its appendix gives 155±26 for the human. One depth image per agent: 128x128, 256x256 for two.",
@@ -105,7 +106,7 @@ class Bench:
         return Outcome(text=text, data=data)
 
     def cells(self) -> list[Cell]:
-        """Return rows to measure; an `InputError` names a bad option."""
+        """Return rows to measure; raise an `InputError` that names a bad option."""
         from h3data_pipelines.machine.bench_protocol import UNTIMED, Cell
 
         if self.group != "sim":
@@ -184,7 +185,7 @@ class Pool:
 
 @contextmanager
 def process_pool(size: int) -> Iterator[Pool]:
-    """A `Pool` whose processes end with the block."""
+    """Start a `Pool`, whose processes end with the block."""
     pool = Pool(size)
     try:
         yield pool
@@ -224,7 +225,10 @@ def _run_share(
 def measure(
     cell: Cell, pool: Pool, *, runs: int, steps: int, backend: Literal["cpu", "gpu"] = "cpu", seed: int = 0
 ) -> dict[str, Any]:
-    """A row of the table: the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], the paper's.
+    """Measure a row of the table.
+
+    It has the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], and the paper's
+    figure.
 
     The frames per second of a run are worlds x timed steps / mean time of the processes, as in Habitat's script.
     """

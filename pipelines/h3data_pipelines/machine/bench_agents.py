@@ -56,7 +56,7 @@ class RobotAgent:
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Move to random places where nothing of the home touches the body, the arm and the rear, with the arm at rest."""
+        """Move to random places where body, arm and rear touch nothing, with the arm at rest."""
         for w in range(len(self.own.heading)):
             self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
         self.own.joints[:] = self.body.rest
@@ -111,7 +111,7 @@ class HumanAgent:
         self._pose("nav")
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Standing at random places, the hand at the side."""
+        """Place the people at random, standing, the hand at the side."""
         own, worlds = self.own, self.state.worlds
         own.xz[:] = self.free.sample(rng, worlds)
         own.heading[:] = rng.uniform(-np.pi, np.pi, worlds)
@@ -122,12 +122,12 @@ class HumanAgent:
         self._pose("nav")
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
-        """Random objects, and whether the hand closes (above 0) or opens, [W, 2]."""
+        """Sample objects, and whether the hand closes (above 0) or opens, [W, 2]."""
         worlds, objects = self.state.held_by.shape
         return np.stack([rng.integers(objects, size=worlds), rng.uniform(-1, 1, worlds)], axis=1)
 
     def step(self, action: Action, values: Array) -> None:
-        """Walk, or reach and take."""
+        """Walk, or reach for an object and take it."""
         state, chosen = self.state, values[:, 0].astype(int)
         targets = state.object_pose[np.arange(len(chosen)), chosen, :3]
         if action == "nav":

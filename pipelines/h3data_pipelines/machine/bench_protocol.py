@@ -28,10 +28,10 @@ from sim_kinematic.sensing.camera_sensor import StateRenderer
 
 Agents = Literal["robot", "human", "robot_robot", "human_robot"]
 STEPS, UNTIMED = 300, 10
-"""Steps of a run, and how many of the first are not timed."""
+"""Number of steps of a run, and number of the first steps that are not timed."""
 ROBOT, HUMAN, HOME_SEED = "quad_arm", "female_0", 1
 CAMERA, HFOV_DEG = "robot_arm", 90.0
-"""A robot looks from its arm, a person from between the eyes: square pictures."""
+"""Camera of a robot, on its arm, and field of view of square pictures; a person looks from between the eyes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +41,14 @@ class Cell:
     home: str = "small"
     """Preset of the home: small, medium or large, with the areas and rooms of the paper's three scenes."""
     objects: int = 2
-    """Number of things that can be taken; other things stay fixed."""
+    """Number of objects that can be taken; other objects are fixed."""
     agents: Agents = "human_robot"
     worlds: int = 1
     action: Action = "nav"
     skinned: bool = True
     pictures: Literal["each", "arm"] = "each"
-    """The paper's square picture of each agent, or one of the first robot's arm camera as it is, 224x171."""
+    """Pictures of each step: the paper's square picture of each agent, or one of the first robot's arm camera,
+    224x171."""
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -119,14 +120,14 @@ class BenchmarkWorlds:
 
     # --- running ----------------------------------------------------------------------------------------------------------
     def reset(self, rng: np.random.Generator) -> None:
-        """Everybody at random free places, the objects where they lie in the home."""
+        """Place all agents at random free places, and the objects where they lie in the home."""
         self.state.object_pose[:] = [i.pose for i in self._loose]
         self.state.held_by[:] = NOBODY
         for agent in self.agents:
             agent.reset(rng)
 
     def sample(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """Random actions of each agent in all worlds."""
+        """Sample actions of each agent in all worlds."""
         return [agent.sample(rng, self.cell.action) for agent in self.agents]
 
     def step(self, actions: list[np.ndarray]) -> Any:
@@ -168,7 +169,7 @@ class BenchmarkWorlds:
         return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:
-        """Time ``steps`` random steps but the first ``untimed``. Sampling actions is not timed, nor is the reset."""
+        """Measure the time of ``steps`` random steps but the first ``untimed``, without sampling of actions and reset."""
         if not 0 <= untimed < steps:
             raise InputError(
                 f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",

@@ -1,4 +1,4 @@
-"""Files that h3data keeps on disk to be faster the next time, their sizes, and their removal: ``h3data cache``."""
+"""Command ``h3data cache``: files on disk that make later runs faster, their sizes, and their removal."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ class Cache:
         return sum(path.stat().st_size for path in self.files if path.exists())
 
     def row(self) -> dict[str, Any]:
-        """Contents, size and folder of the cache, for JSON."""
+        """Return the contents, size and folder of the cache, for JSON."""
         folder = None if self.folder is None else str(self.folder)
         return {"holds": self.holds, "bytes": self.bytes, "files": len(self.files), "folder": folder}
 
 
 def find_caches() -> list[Cache]:
-    """Return all caches as they are now, by the names of `KINDS`."""
+    """Return all caches in their present state, by the names of `KINDS`."""
     return [_find(name) for name in KINDS]
 
 
 def cache_lines(caches: list[Cache]) -> list[str]:
-    """Caches as a table for people."""
+    """Return the caches as lines of a table."""
     return [
         f"  {cache.name:<10} {size_text(cache.bytes):>9}  {cache.holds}{f': {cache.folder}' if cache.folder else ''}"
         for cache in caches
@@ -91,7 +91,7 @@ class CacheList:
 
 @dataclass(frozen=True)
 class CacheClear:
-    """Delete caches. Nothing is lost: what they hold is made again when it is needed, which takes time.
+    """Delete caches. Their contents are made again when they are needed, which takes time.
 
     Examples:
         h3data cache clear light freespace
@@ -128,7 +128,7 @@ CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear
 
 
 def kept_files() -> list[Path]:
-    """Return all files of numba's cache of our kernels, from every folder where numba may keep it.
+    """Return all files of numba's cache of h3data's kernels, from every folder where numba may store it.
 
     Those of earlier versions and other settings are included."""
     from numba.core import config

@@ -1,4 +1,4 @@
-"""``h3data completion``: lets a shell complete commands, options and their choices."""
+"""Command ``h3data completion``: completion of commands, options and choices in a shell."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Completion:
     """
 
     commands: ClassVar[Mapping[str, type[Command] | Group]] = {}
-    """All commands, this one among them: `h3data_pipelines.commands.table.all_commands` sets it."""
+    """All commands, including this one: `h3data_pipelines.commands.table.all_commands` sets it."""
 
     shell: tyro.conf.Positional[Literal["bash", "zsh", "tcsh"]]
     """Shell that reads the script."""

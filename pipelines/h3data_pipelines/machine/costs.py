@@ -1,4 +1,4 @@
-"""Cost of a job on this machine, in CPU time: the figures from which `h3data plan` reckons."""
+"""Cost of a job on this machine, in CPU time, for the forecasts of `h3data plan`."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ _START = "import numba, scipy, pyarrow; from h3data_pipelines.jobs.running impor
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """CPU seconds on one core."""
+    """Costs of the parts of a job, in CPU seconds on one core."""
 
     task: str
     start_s: float
-    """A worker's start: Python and its imports; compiled kernels are there."""
+    """Time in which a worker starts: Python and its imports, without compilation of kernels [s]."""
     scene_s: float
-    """A home that a worker sees for the first time: making it, free space, collision shapes."""
+    """Time to prepare a home that is new to a worker: making it, free space, collision shapes [s]."""
     episode_s: float
-    """An episode, whatever its length: starts, paths, records."""
+    """Time of an episode that does not depend on its length: starts, paths, records [s]."""
     step_s: float
-    """A step of the simulation."""
+    """Time of a step of the simulation [s]."""
     steps: float
-    """Mean length of an episode."""
+    """Mean number of steps of an episode."""
     frame_s: dict[str, float]
-    """A frame of each camera in `FRAMES`, rendered and encoded."""
+    """Time of a frame of each camera in `FRAMES`, rendered and encoded [s]."""
     metrics_s: float
-    """The metrics of an episode, read from a dataset."""
+    """Time to compute the metrics of an episode from a dataset [s]."""
     driver_s: float
-    """An episode in the one process that writes: received, stored, uncompressed sizes and hashes included."""
+    """Time of an episode in the one process that writes: receiving, storing, uncompressed sizes and hashes [s]."""
     episode_bytes: float
-    """An episode in a dataset."""
+    """Size of an episode in a dataset [bytes]."""
 
     def to_json(self) -> dict[str, Any]:
         """Return all costs by name, for JSON."""
@@ -50,10 +50,10 @@ class Costs:
 
     @classmethod
     def from_json(cls, values: Any) -> Costs:
-        """Costs as ``h3data plan --measure --json`` prints them.
+        """Read costs as ``h3data plan --measure --json`` prints them.
 
         Raises:
-            InputError: they are something else.
+            InputError: the values are not costs.
         """
         try:
             return cls(**values["costs"])

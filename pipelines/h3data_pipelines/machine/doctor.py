@@ -1,4 +1,4 @@
-"""``h3data doctor``: checks what works on this machine."""
+"""Command ``h3data doctor``, which checks the installation on this machine."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "microsoft-edge", 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show what works on this machine, and the files of h3data on it.
+    """Check the installation and list its files on this machine.
 
     Renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub; versions of packages, free disk space, caches.
 

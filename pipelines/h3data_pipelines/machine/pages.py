@@ -1,4 +1,4 @@
-"""``h3data docs``: the pages of the documentation, which are part of the installation, and their entries of error codes."""
+"""Command ``h3data docs``: pages of the documentation, which are part of the installation, and entries of error codes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from h3data.terminal import aligned
 
 @dataclass(frozen=True)
 class Docs:
-    """Read the documentation, or what an error code means.
+    """Read the documentation, or the meaning of an error code.
 
     The pages are part of the installation, so that they fit its version and need no network.
 
@@ -70,7 +70,7 @@ class ErrorKind(NamedTuple):
     text: str
     """Text of the message, with the names of its variables in braces."""
     to_do: str
-    """Advice of the message; empty if the text or its class gives it."""
+    """Advice in the message; empty if the text or its class gives it."""
 
 
 def error_kinds(page: str) -> list[ErrorKind]:

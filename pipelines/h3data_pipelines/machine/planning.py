@@ -1,4 +1,4 @@
-"""``h3data plan``: how long a job takes on many cores, what it costs, and what holds it up."""
+"""Command ``h3data plan``: duration and cost of a job on many cores, and its bottleneck."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Plan:
     datasets: int = 1
     """Number of datasets into which the job is cut, each written by a command of its own."""
     scenes: int = 37
-    """Different homes (h3-homes/train has 37)."""
+    """Number of different homes (h3-homes/train has 37)."""
     steps: float | None = None
     """Mean length of an episode (default: as measured)."""
     cameras: tuple[str, ...] = ()
@@ -47,7 +47,8 @@ class Plan:
     price: float = 0.02
     """Price of a core for an hour, in your currency; spot prices differ by place and day."""
     lost_nodes: float = 0.05
-    """Share of the nodes that die in an hour, as spot machines do; each costs half a shard, a start and its homes."""
+    """Share of the nodes that fail in an hour, as spot machines do; each failure costs half a shard, a start and its
+    homes."""
     costs: Path | None = None
     """File of costs: what `h3data plan TASK --measure --json` printed (default: measured now)."""
     measure: bool = False

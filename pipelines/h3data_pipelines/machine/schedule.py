@@ -1,4 +1,4 @@
-"""A job on many cores, played out shard by shard from measured costs: when it ends, and what holds it up."""
+"""Simulation of a job on many cores, shard by shard from measured costs: its end, and its bottleneck."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ from collections import deque
 from dataclasses import dataclass
 
 AHEAD = 4
-"""Number of results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
+"""Number of results per worker that may wait for the writing process, as in
+`h3data_pipelines.execution.ray_cluster`."""
 MOST_SHARDS = 200_000
-"""Number of shards of longer jobs that are simulated; the rest goes on at the pace of their second half."""
+"""Number of shards of longer jobs that are simulated; the rest continues at the rate of their second half."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workload:
-    """Shards of equal cost, apart from the first sight of a home."""
+    """Shards of equal cost, except for the first use of a home."""
 
     shards: int
     shard_s: float
     scenes: int
-    """Different homes that the shards go round."""
+    """Number of different homes, which the shards use in turn."""
     scene_s: float
-    """A home that a worker sees for the first time."""
+    """Time to prepare a home that is new to a worker [s]."""
     start_s: float
     """Time that a worker needs to start [s]."""
     driver_s: float
-    """A shard in the one process that writes its dataset."""
+    """Time of a shard in the one process that writes its dataset [s]."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Schedule:
     speedup: float
     """Speed-up over one worker."""
     held_up_by: str
-    """``work``, ``writer``, ``scenes`` or ``start``: where most of the lost time went."""
+    """Cause of most of the lost time: ``work``, ``writer``, ``scenes`` or ``start``."""
 
 
 def simulate_schedule(load: Workload, workers: int, *, datasets: int = 1) -> Schedule:

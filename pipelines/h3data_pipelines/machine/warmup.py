@@ -1,4 +1,4 @@
-"""``h3data warmup``: compiles all kernels ahead, in parallel."""
+"""Command ``h3data warmup``, which compiles all kernels in advance, in parallel."""
 
 from __future__ import annotations
 
@@ -211,4 +211,4 @@ WORK: dict[str, Callable[[], None]] = {
     "light": _light,
     "people": _people,
 }
-"""Work that needs every kernel, by the name under which progress is reported; each part runs in a process of its own."""
+"""Programs that use every kernel, by the name in progress messages; each runs in a process of its own."""

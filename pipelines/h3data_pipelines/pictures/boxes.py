@@ -17,7 +17,7 @@ class Boxes(NamedTuple):
     ids: NDArray[np.int32]
     """Number of each box in images of ids, shape [B]."""
     boxes: NDArray[np.int32]
-    """First column, first row, end column, end row (ends exclusive) [px], shape [B, 4]."""
+    """Bounds of the boxes: first column, first row, end column, end row (ends exclusive) [px], shape [B, 4]."""
     pixels: NDArray[np.int64]
     """Number of visible pixels, shape [B]."""
 

@@ -22,7 +22,7 @@ def optical_flow(
     camera_after: Camera,
     after: Poses,
 ) -> NDArray[np.float32]:
-    """Displacement (right, down) of each pixel's surface point until the next image, float32 [H, W, 2] [px].
+    """Compute the displacement (right, down) of each pixel's surface point until the next image, float32 [H, W, 2] [px].
 
     Points move with their instance, on deformable meshes with their triangle. Points that are hidden afterwards have flow,
     too. The background is infinitely far away. NaN marks points that are no longer in front of the camera or no longer
@@ -99,7 +99,7 @@ def _moved(
 
 
 def flow_to_rgb(flow: ArrayLike, *, longest_px: float | None = None) -> NDArray[np.uint8]:
-    """Flow [H, W, 2] [px] as colours [H, W, 3]: hue is direction (red to the right), white is no motion, NaN is dark.
+    """Color flow [H, W, 2] [px], [H, W, 3]: hue is direction (red to the right), white is no motion, NaN is dark.
 
     Colours are saturated at ``longest_px``, by default the 99th percentile of lengths.
     """

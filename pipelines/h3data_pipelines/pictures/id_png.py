@@ -89,7 +89,7 @@ _TABLES = _tables()
 
 
 def id_png_bytes(ids: NDArray[np.uint16]) -> bytes:
-    """Stored ids [H, W] as a PNG file of 16 bits per pixel."""
+    """Encode stored ids [H, W] as a PNG file of 16 bits per pixel."""
     height, width = ids.shape
     out = np.empty(4 * ids.size + 8 * height + 1024, np.uint8)
     size, check = _deflate(np.ascontiguousarray(ids), _TABLES, out)

@@ -1,4 +1,4 @@
-"""``h3data rerender``: videos and images of recordings from any camera."""
+"""Command ``h3data rerender``: videos and images of recordings from any camera."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Rendered:
     """Pictures of recordings."""
 
     files: tuple[Path, ...]
-    """Videos, and folders of images."""
+    """Paths of videos, and of folders of images."""
     failed: dict[str, str]
     """Reason why a recording could not be rendered, by its path."""
 
@@ -83,7 +83,7 @@ def rerender(
     executor: str = "local",
     force: bool = False,
 ) -> Rendered:
-    """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
+    """Render recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
 
     Returns:
         The video files and folders of images, and which recordings failed.
@@ -145,7 +145,7 @@ class Rerender:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Renders all recordings, in several processes if asked to, and returns the files."""
+        """Render all recordings, in several processes if asked to, and return the files."""
         if self.size:
             parse_size(self.size)
         local(self.out)
@@ -194,7 +194,7 @@ class Rerender:
     def render(
         self, path: Path, stem: str, outputs: Sequence[Output], counter: str
     ) -> tuple[list[str], dict[str, Any]]:
-        """Renders one recording; returns a summary as lines of text and as JSON data."""
+        """Render one recording; return a summary as lines of text and as JSON data."""
         light = self.light if "rgb" in outputs else "flat"  # nothing else shows it
         replay = Replay(
             open_episode(path), assets=self.assets, people=self.people, light=light, stand_ins=self.stand_ins
@@ -284,17 +284,17 @@ class Shard:
     path: Path
     stem: str
     counter: str
-    """Return a counter for progress lines, such as ``[2/7] ``."""
+    """Counter for progress lines, such as ``[2/7] ``."""
     below: PurePath
-    """Folder of the results below that of the command."""
+    """Folder of the results, relative to that of the command."""
 
 
 RenderedShard = tuple[list[str], dict[str, Any]]
-"""A summary as lines of text and as JSON data."""
+"""Summary of a rendered recording, as lines of text and as JSON data."""
 
 
 def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedShard:
-    """Renders one recording. What cannot be rendered is listed, unless it is the only one or the disk is full."""
+    """Render one recording. Errors are listed, unless it is the only recording or the disk is full."""
     command = replace(command, out=command.out / shard.below)
     try:
         return command.render(shard.path, shard.stem, tuple(dict.fromkeys(command.outputs)), shard.counter)
@@ -364,7 +364,7 @@ def _refuse_existing(targets: Sequence[Target]) -> None:
 
 
 def parse_steps(text: str, count: int) -> range:
-    """Parses ``"start:stop:stride"``, each part optional and as in a Python slice, as a range within ``count`` steps."""
+    """Parse ``"start:stop:stride"``, each part optional and as in a Python slice, as a range within ``count`` steps."""
     if not text:
         return range(count)
     if not re.fullmatch(r"-?\d*(:-?\d*){0,2}", text) or text.endswith("::-"):

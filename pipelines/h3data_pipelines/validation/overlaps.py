@@ -1,4 +1,4 @@
-"""Find instances of a scene that overlap each other, by FCL, as ``h3data scenes validate`` does."""
+"""Search by FCL for instances of a scene that overlap each other, for ``h3data scenes validate``."""
 
 from __future__ import annotations
 

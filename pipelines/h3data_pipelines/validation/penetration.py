@@ -1,4 +1,4 @@
-"""Depths at which bodies of a recording are in the home: FCL on every part of every agent, and on what it holds.
+"""Depths of bodies of a recording inside the home: FCL on every part of every agent, and on what it holds.
 
 The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
 runs. This looks at them afterwards.
@@ -40,29 +40,30 @@ CORE_M = 1e-3
 CHORE_EVENTS = ("activity", "takes", "puts", "walks_to")
 """Kinds of events of people who do chores (`sim_kinematic.crowd.errands.HandWork`)."""
 REACHING = ("pick", "place", "drop")
-"""Skills in which a hand approaches the surface on which something lies."""
+"""Names of skills in which a hand approaches the surface on which something lies."""
 HELD = "held object"
-"""Name of the part under which everything that an agent carries is counted."""
+"""Name of the part that stands for everything that an agent carries."""
 
 
 class Penetration(NamedTuple):
-    """Depth of one agent in the static things of its home."""
+    """Depth of one agent inside the static things of its home."""
 
     agent: int
     parts: tuple[str, ...]
-    """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
+    """Names of the parts: capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
     """True for parts that are arms, hands and what they hold, [P]."""
     reaching: NDArray[np.bool_]
-    """Parts that may be in what an object lies on while it is picked or placed: hands, people's forearms, what is held, [P]."""
+    """True for parts that may enter the furniture of an object while it is picked or placed: hands, people's forearms,
+    what is held, [P]."""
     steps: NDArray[np.intp]
-    """The steps that were looked at, [T]."""
+    """Numbers of the checked steps, [T]."""
     depth_m: NDArray[np.float64]
     """Depth of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the
     distance of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis
     of the world."""
     thing: NDArray[np.object_]
-    """Name of the instance in which it is deepest, empty where none, [T, P]."""
+    """Name of the instance that each part enters most deeply, empty for none, [T, P]."""
     intended: NDArray[np.bool_]
     """True for contacts that the agent intends, [T, P]."""
 
@@ -73,7 +74,7 @@ class Penetration(NamedTuple):
 
 
 def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
-    """Penetration of all agents drawn by built-in bodies, at each so many-th step.
+    """Measure the penetration of all agents with built-in bodies, at every n-th step.
 
     A robot stands on what lies on the floor, up to `FLOOR_M`; people have no such allowance, but floors have no shapes.
 

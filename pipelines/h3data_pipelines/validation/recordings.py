@@ -38,7 +38,7 @@ Check = Literal[
 Severity = Literal["error", "warning"]
 
 GAP_STEPS = 1.5
-"""Gaps are steps longer than this many usual ones."""
+"""Number of usual steps above which a longer step counts as a gap."""
 UNIT_WARNING, UNIT_ERROR = 1e-3, 1e-2
 """Limits of a quaternion's deviation from unit length; files that round to five digits are off by 1e-5."""
 AGENT_MPS, OBJECT_MPS = 10.0, 25.0
@@ -50,12 +50,13 @@ LIMIT_SLACK = 1e-4
 WALL_M = 0.02
 """Tolerated depth of an agent's root inside an obstacle: the error of the distance grid [m]."""
 APART_M = 0.15
-"""Agents whose roots are closer than this are inside each other [m]."""
+"""Distance of roots below which agents are inside each other [m]."""
 SINK_M = 0.05
-"""Soles deeper than this below the height of the root are in the floor [m]."""
+"""Depth of soles below the height of the root above which they are in the floor [m]."""
 LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.15, 0.10
-"""Feet within LOW_M of the floor can carry. They slide if all that can carry are faster than SLIDE_MPS for at least SLIDE_S
-(shorter: a foot that lands, or the flight phase of a jog). Reported if it happens in at least SLIDE_SHARE of the steps."""
+"""Limits for sliding feet: feet within LOW_M of the floor can carry, and slide if all that can carry are faster than
+SLIDE_MPS for at least SLIDE_S (shorter: a foot that lands, or the flight phase of a jog). It is reported if it happens
+in at least SLIDE_SHARE of the steps."""
 _FEET_CHUNK = 512
 _SCENES_KEPT = 8
 
@@ -66,18 +67,18 @@ _HEAD = JOINT_INDEX["head"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Fault that was found."""
+    """A fault in a recording."""
 
     check: Check
     severity: Severity
     subject: str
-    """The column, body, agent or file concerned."""
+    """Name of the column, body, agent or file."""
     text: str
     """Description of the fault, with numbers."""
     step: int = -1
-    """First step at which it occurs; -1 = not tied to a step."""
+    """First step with the fault; -1 = not tied to a step."""
     count: int = 1
-    """Number of steps at which it occurs."""
+    """Number of steps with the fault."""
 
     def __str__(self) -> str:
         step = f", step {self.step}" if self.step >= 0 else ""

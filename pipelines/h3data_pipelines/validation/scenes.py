@@ -38,15 +38,16 @@ REACH_M = 1.1
 ISLAND_MIN_M2 = 0.05
 """Area below which patches of free floor are ignored, as leftover corners between objects [m2]."""
 ROOM_MIN_M2 = 0.1
-"""A room with less walkable floor cannot be entered."""
+"""Area of walkable floor below which a room cannot be entered [m2]."""
 FLOAT_M, SINK_M = 0.02, 0.01
-"""An object floats if nothing is this close below it, and is sunk if a surface lies this far above its underside."""
+"""Distance below an object within which something must support it, else it floats; and height of a surface above its
+underside from which on it is sunk [m]."""
 CLIMB_M = 0.2
 """Height up to which objects are stepped over [m]."""
 FURNITURE_MAX_M2 = 6.0
-"""Static instances with a larger footprint are whole rooms, not furniture."""
+"""Footprint above which static instances are whole rooms, not furniture [m2]."""
 TOUCH_M = 0.05
-"""Distance from the rim of an agent's disc within which an object counts as what stops it [m]."""
+"""Distance from the rim of an agent's disc within which an object counts as the obstacle that stops it [m]."""
 _SLACK_M = 0.004
 """Rounding of buffered polygons."""
 _HULL_SHARE = 0.9
@@ -58,7 +59,7 @@ class Problem:
 
     kind: Kind
     subject: str
-    """The room, instance or receptacle, or two of them joined by " / "."""
+    """Name of the room, instance or receptacle, or two names joined by " / "."""
     text: str
     """Description of the fault, with numbers."""
     position: NDArray[np.float64] | None = None
@@ -71,7 +72,7 @@ def free_space_for_validation(scene: Scene, *, radius_m: float = 0.25, height_m:
 
 
 def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> list[Problem]:
-    """Faults of a scene's floor, its receptacles and the objects on them, in that order.
+    """Find faults of a scene's floor, its receptacles and the objects on them, in that order.
 
     Args:
         scene: The scene.
@@ -139,7 +140,7 @@ def _rooms(scene: Scene, main: BaseGeometry, loose: FreeSpace) -> Iterable[Probl
 
 
 def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Problem]:
-    """Passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
+    """Find passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
 
     ``loose`` is the free area for a disc of r - 2.5 cm. A tight passage is a part of it that the wider disc (r + 5 cm)
     cannot enter, though the places on both sides are free for that disc. Niches with one entrance do not count.

@@ -1,4 +1,4 @@
-"""``h3data serve``: a policy of ours as a server that others ask over a websocket."""
+"""Command ``h3data serve``, which serves one of our policies over a websocket."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.progress import say
 class Serve:
     """Serve a policy over a websocket, in the protocol of openpi.
 
-    Planners are shown the whole state, which only h3data sends; trained policies and those with --adapter are shown named
+    Planners observe the whole state, which only h3data sends; trained policies and those with --adapter get named
     observations, which any client may send. Ctrl-C stops the server. Needs the extra remote.
 
     Examples:

@@ -1,4 +1,4 @@
-"""The profile ``field``: what papers on social navigation report."""
+"""Profile ``field``: metrics of papers on social navigation."""
 
 from h3data_social.field.profile import with_clearance
 

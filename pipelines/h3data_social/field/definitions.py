@@ -1,4 +1,4 @@
-"""Definitions of the profile ``field``: what papers on social navigation report beside Habitat's own numbers."""
+"""Definitions of the profile ``field``: metrics of papers on social navigation beyond Habitat's."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from h3data.metrics.metric import Metric
 from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 
 ROBOT_RADIUS_M = HUMAN_RADIUS_M = 0.25
-"""Radii for times to collision: those of Habitat's navmesh agent."""
+"""Radius of a robot for times to collision, that of Habitat's navmesh agent [m]."""
 COMPLIANT_M = 1.0
 """Personal space of PSC, centre to centre (Falcon, ICRA 2025; the iGibson challenge takes 0.5 m)."""
 INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
 """Outer limits of Hall's zones (E. T. Hall, The Hidden Dimension, 1966)."""
 STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
-"""A robot is stalled below both (HuNavSim)."""
+"""Speed and turn rate below which, together, a robot is stalled (HuNavSim)."""
 FULL_SPEED_M_S = 2.5
-"""Speed of STL's ideal robot: the paper's robot."""
+"""Speed of the ideal robot in STL: that of the paper's robot [m/s]."""
 
 _PAIR, _TIMED = (ROBOT_POSE, HUMAN_POSE), ("time_ns", ROBOT_POSE)
 _NO_PAIR = "No row has a pose of the robot and of a person."

@@ -1,4 +1,4 @@
-"""The goal of a robot's episode, and when it is reached: a point of the floor, or an agent."""
+"""Goal of a robot's episode, and when it is reached: a point of the floor, or an agent."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from h3data_social.others import find_others
 
 GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5
-"""A point is reached from this distance or less, where the recording has no column `metrics.success`."""
+"""Distance within which a point is reached, for recordings without a column `metrics.success` [m]."""
 PERSON_IS_GOAL = SOCIAL_NAV_PROFILE.tasks[0]
-"""Task whose goal is the person."""
+"""Name of the task whose goal is the person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,9 +27,10 @@ class Goal:
     """The goal of the measured agent, row by row."""
 
     distance: NDArray[np.float64]
-    """Length of the shortest path to it, if recorded, else the straight distance on the floor [T] [m]; NaN where unknown."""
+    """Length of the shortest path to the goal, if recorded, else the straight distance on the floor [T] [m]; NaN if
+    unknown."""
     straight: NDArray[np.float64]
-    """Straight distance to it on the floor [T] [m]; NaN where unknown."""
+    """Straight distance to the goal on the floor [T] [m]; NaN if unknown."""
     reached: NDArray[np.bool_]
     """Rows in which the goal is reached [T]."""
     agent: int = -1

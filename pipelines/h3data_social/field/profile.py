@@ -1,4 +1,4 @@
-"""The profile ``field``: proxemics, efficiency and smoothness of a robot near people.
+"""Profile ``field``: proxemics, efficiency and smoothness of a robot near people.
 
 Definitions and sources: `h3data_social.field.definitions`. Distances are centre to centre on the floor unless stated
 otherwise, to the nearest of all people; rows without a pose are left out.

@@ -1,1 +1,1 @@
-"""The profile ``social``: what papers and simulators of social navigation report, over every person of an episode."""
+"""Profile ``social``: metrics of papers and simulators of social navigation, over every person of an episode."""

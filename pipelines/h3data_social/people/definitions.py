@@ -8,11 +8,11 @@ from h3data.metrics.metric import Metric
 from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 
 RATE_HZ = 10
-"""Rate of speeds, accelerations, jerks and forces: those of differences depend on it."""
+"""Rate at which speeds, accelerations, jerks and forces are computed, on which their values depend [Hz]."""
 SPACE_M = 0.5
-"""Personal space of SC (Francis et al.)."""
+"""Radius of personal space in SC (Francis et al.) [m]."""
 PROGRESS_M, PROGRESS_S = 0.1, 5.0
-"""A robot fails to progress if it comes less than this nearer to the goal within this time."""
+"""Distance by which a robot must come nearer to the goal within this time, else it fails to progress."""
 TARGET_M = 1.2
 """Distance from the target within which SEAN calls an episode completed."""
 MET_M, P_SPACE_M = 2.0, 0.5

@@ -1,4 +1,4 @@
-"""The profile ``social``: metrics of social navigation over every person of an episode, of many episodes at once.
+"""Profile ``social``: metrics of social navigation over every person of an episode, of many episodes at once.
 
 Definitions and sources: `h3data_social.people.definitions`. Rows without a pose are left out, and what a recording cannot
 tell is NaN, with a note.

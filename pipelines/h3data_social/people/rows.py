@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """First row of each of E episodes, none of which is empty."""
+    """Rows of E episodes, none of which is empty, by the first row of each."""
 
     starts: NDArray[np.int64]
     """First row of each episode [E]."""
@@ -23,7 +23,7 @@ class Rows:
 
     @classmethod
     def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
-        """Return rows of episodes with so many rows each, at least one."""
+        """Return rows of episodes with these numbers of rows, at least one each."""
         ends = np.cumsum(counts, dtype=np.int64)
         return cls(starts=ends - np.asarray(counts, np.int64), total=int(ends[-1]))
 
@@ -34,7 +34,7 @@ class Rows:
 
     @property
     def ends(self) -> NDArray[np.int64]:
-        """Row behind each episode's last one [E]."""
+        """Index after the last row of each episode [E]."""
         return self.starts + self.counts
 
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -44,7 +44,7 @@ class Rows:
         return summed if summed.ndim == 1 else summed.sum(axis=1)
 
     def mean(self, values: Array) -> Array:
-        """Return means of all that is known of each episode: [R] or [R, P] -> [E]; NaN where nothing is."""
+        """Return means over the known values of each episode: [R] or [R, P] -> [E]; NaN if none is known."""
         with np.errstate(invalid="ignore"):
             return self.sum(values) / self.sum(~np.isnan(values))
 
@@ -57,7 +57,7 @@ class Rows:
         return np.fmax.reduceat(values, self.starts)
 
     def changes(self, values: NDArray[Any]) -> Array:
-        """Changes since the previous row of the episode [R, ...]; NaN in its first."""
+        """Return the changes since the previous row of the episode [R, ...]; NaN in its first."""
         changes = np.full(values.shape, np.nan)
         changes[1:] = np.diff(values, axis=0)
         changes[self.starts] = np.nan

@@ -1,4 +1,4 @@
-"""The folder of a training run: claimed, with room for its checkpoints, and emptied of an earlier run by ``--force``."""
+"""Folder of a training run: reserved, checked for space, and cleared of an earlier run by ``--force``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ LEFT = (
     "episodes.npz",
     "starts.npz",
 )
-"""Files that runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
+"""Names of files that runs write into their folders (h3data docs training, h3data docs populations, h3data docs
+skills)."""
 
 
 def run_folder(

@@ -1,4 +1,4 @@
-"""``h3data train rearrange``: trains the upper layer of rearrangement with a population of partners.
+"""Command ``h3data train rearrange``: training of the upper layer of rearrangement with a population of partners.
 
 Episodes are played on CPU cores, or in batched worlds on a device.
 """
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from h3data_training.running import RunResult
 
 CHECKPOINT_BYTES = 3 << 20
-"""About what a checkpoint takes for each learner, with its moments."""
+"""Approximate size of a checkpoint for each learner, with its moments [bytes]."""
 STEPS_PER_CPU_S = 900
-"""About what a core plays of two agents, learning included."""
+"""Approximate number of steps of two agents that a core plays in a second, learning included."""
 STEPS_PER_EPISODE = 600
 DRAWING_S = 0.55
-"""CPU seconds to draw an episode: 652 for 1,184 in the 37 homes of h3-homes/train."""
+"""CPU time to sample an episode [s]: 652 for 1,184 in the 37 homes of h3-homes/train."""
 WORLD_STEPS_PER_CPU_S = 10_000
 """Number of steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
 

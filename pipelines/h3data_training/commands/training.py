@@ -1,4 +1,4 @@
-"""``h3data train``: trains policies of social navigation, a robot's skills, and rearrangement.
+"""Command ``h3data train``: training of policies of social navigation, a robot's skills, and rearrangement.
 
 Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
 with populations of partners, on CPU cores or in batched worlds on a device.
@@ -33,11 +33,11 @@ class Trainer:
     """Training of policies for a task: an entry of the group ``h3data.trainers``, by the name of the task."""
 
     run: Callable[[Train], Outcome]
-    """Trains by the options of the command."""
+    """Function that trains with the options of the command."""
     has_people: bool = True
-    """True if people are in its episodes."""
+    """True if there are people in its episodes."""
     has_populations: bool = False
-    """True if it trains a robot beside a population of partners; False: one robot by PPO on what it perceives."""
+    """True if it trains a robot with a population of partners; False: one robot by PPO on its observations."""
     recipes: str
     """Help on ``--recipe``."""
     observations: str = ""
@@ -93,27 +93,27 @@ class Train:
     skill: tyro.conf.Positional[str] = ""
     """skill: nav, pick or place."""
     population: Annotated[str | None, POPULATIONS] = None
-    """Who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
-    plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
+    """Partners of the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to plan_pop_4:
+    planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
     ablate: Annotated[tuple[str, ...], POPULATIONS] = ()
-    """Ablations of the robot. humanoid_gps: it is not shown where the person is; primitives: it
-    cannot choose the four primitives of navigation."""
+    """Ablations of the robot. humanoid_gps: it does not observe where the person is; primitives: it cannot choose the
+    four primitives of navigation."""
     recipe: Annotated[Literal["fast", "paper", "tiny"] | None, RECIPES] = None
     """Settings by name."""
     seed: int = 0
-    """Everything random follows from it."""
+    """Seed of everything random."""
     minutes: float | None = None
     """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills
     10, with fast 6)."""
     updates: int | None = None
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
-    """Save and stop after so many minutes of this call; --resume goes on."""
+    """Time of this call after which it saves and stops [minutes]; --resume continues."""
     workers: Annotated[int | None, POPULATIONS] = None
     """Processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
     not depend on it."""
     episodes_file: Annotated[Path | None, POPULATIONS] = None
-    """Episodes to play, drawn and written where there is no such file, so that several runs share them (default:
+    """Episodes to play, sampled and written if there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
     """Device of the worlds and of learning: cpu, cuda or cuda:N. Of rearrange, without --worlds, of learning alone."""
@@ -136,9 +136,9 @@ class Train:
     """Size of the pictures that the robot observes, such as 96x72, with sides in multiples of 4 up to 1024. The policy's card
     says it, and it is shown the same wherever it plays (default: 64x48, paper 224x171, tiny 32x24)."""
     worlds: Annotated[int | None, WORLDS] = None
-    """Worlds that are stepped at once."""
+    """Number of worlds that are stepped at once."""
     action_repeat: Annotated[int | None, BY_PPO] = None
-    """Steps of 1/30 s for which an action is held (default: 3)."""
+    """Number of steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
     rules: Annotated[Literal["natural", "paper", "both"] | None, WITH_PEOPLE] = None
@@ -147,25 +147,26 @@ class Train:
     """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
     processes that torchrun starts, as many as there are."""
     warm_start: Annotated[str | None, BY_PPO] = None
-    """A trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is less
-    exploration, and the value looks farther ahead from the start."""
+    """Trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is
+    less exploration, and the value looks farther ahead from the start."""
     rollout: Annotated[int | None, BY_PPO] = None
-    """Decisions per world between two updates: as far as the recurrent state learns to remember (default: 32, tiny 16)."""
+    """Number of decisions per world between two updates, through which the recurrent state learns to remember (default:
+    32, tiny 16)."""
     minibatches: Annotated[int | None, BY_PPO] = None
-    """Parts of a rollout that are learned from one after the other (default: 4)."""
+    """Number of parts of a rollout that are used one after the other (default: 4)."""
     follow_steps: Annotated[int | None, FOLLOWING] = None
     """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
     horizon: Annotated[float | None, BY_PPO] = None
     """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
     with --warm-start 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
     resume: bool = False
-    """Go on from the checkpoint in the folder; begins where there is none."""
+    """Continue from the checkpoint in the folder; begin if there is none."""
     dry_run: DryRunFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Train the policy and return where its weights are and how well it does."""
+        """Train the policy and return the path of its weights and its results."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:

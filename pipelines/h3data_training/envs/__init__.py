@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def make_social_nav(
     worlds: int, scenes: Scenes, *, device: Any, agents: Sequence[str], **options: Any
 ) -> SocialNavTorchEnv:
-    """Social navigation of the robot; ``options`` are those of `SocialNavTorchEnv`.
+    """Make the environment of social navigation of the robot; ``options`` are those of `SocialNavTorchEnv`.
 
     Raises:
         InputError: others than the robot are asked to act, or an option is wrong.
@@ -39,7 +39,9 @@ def make_social_nav(
 def make_rearrange(
     worlds: int, scenes: Scenes, *, device: Any, agents: Sequence[str], task: Rearrange | None = None, **options: Any
 ) -> RearrangeTorchEnv:
-    """Rearrangement, or a ``task`` derived from it, with oracle skills; ``options`` are those of `RearrangeTorchEnv`.
+    """Make the environment of rearrangement, or of a ``task`` derived from it, with oracle skills.
+
+    ``options`` are those of `RearrangeTorchEnv`.
 
     Raises:
         InputError: an option is wrong.
@@ -54,7 +56,7 @@ def make_rearrange(
 def make_any(
     worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
 ) -> TaskTorchEnv | RearrangeTorchEnv:
-    """Return a task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with things, `RearrangeTorchEnv`.
+    """Return a task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with objects, `RearrangeTorchEnv`.
 
     Raises:
         InputError: the task has another person, its functions are not for tensors, or an option is wrong.

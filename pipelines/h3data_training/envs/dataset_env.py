@@ -1,4 +1,4 @@
-"""Environments that show a policy exactly what demonstrations exported to LeRobot held. Needs the extra ``env``."""
+"""Environments that show a policy the same observations as demonstrations exported to LeRobot. Needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ EpisodeChoice = Literal["sampled", "recorded"]
 
 
 class DatasetEnv(gymnasium.Env[Any, Any]):
-    """Environment of one world in which a policy that has learned from a dataset acts.
+    """Environment of one world for a policy that has learned from a dataset.
 
     Observations have the keys, the numbers and the pictures of the dataset: `observation.state` and
     `observation.images.CAMERA`, from the lenses that took its videos. Rewards are those of the dataset too: 1 for the step that
@@ -141,7 +141,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
     @property
     def max_episode_steps(self) -> int:
-        """Number of steps after which an episode ends at the latest, without the one that `reset` makes."""
+        """Largest number of steps of an episode, without the one that `reset` makes."""
         return (self._max_steps or self._first.spec.max_steps) - 1
 
     def _space(self) -> Dict:
@@ -281,7 +281,10 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         return {"is_success": self._succeeded}
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Picture of the agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        """Return a picture of the agent and its surroundings from obliquely above, uint8 [480, 640, 3].
+
+        It is None without a render mode.
+        """
         if self.render_mode is None:
             return None
         if self.play is None:

@@ -1,4 +1,4 @@
-"""A task of one robot and one scripted person for training on a device: actions, observations and rewards are tensors there."""
+"""Training environment on a device for a task of one robot and one scripted person, with tensors in and out."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EPISODES = 512
 
 
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
-    """Cameras of a robot's arm that observations need: that of depth and detector, then that of colours, where there is one."""
+    """Return the arm cameras that observations need: that of depth and detector, then that of colours, if there is one."""
     return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
 
 

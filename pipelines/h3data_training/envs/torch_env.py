@@ -183,7 +183,7 @@ class TorchEnv(Generic[P]):
 
 @contextmanager
 def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
-    """Say in one sentence which worlds a device has no memory for.
+    """Report a lack of memory on a device in one sentence that names the worlds.
 
     Raises:
         InputError: its memory does not suffice.

@@ -1,1 +1,1 @@
-"""Rearrangement learned beside populations of partners (h3data docs populations)."""
+"""Training of rearrangement with populations of partners (h3data docs populations)."""

@@ -83,7 +83,7 @@ class ChooserLearner:
         return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`, of any device.
+        """Continue from a `state`, of any device.
 
         Raises:
             KeyError: a part is missing,
@@ -209,7 +209,7 @@ class ChooserLearner:
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
-    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
+    """Compute generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
 
     ``counts`` are the numbers of decisions in each of E episodes.
     """

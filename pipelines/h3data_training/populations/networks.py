@@ -1,4 +1,4 @@
-"""The chooser in PyTorch, with a critic that only training needs.
+"""Chooser in PyTorch, with a critic that only training needs.
 
 `sim_kinematic.policies.choosers.chooser_network` is the same policy in NumPy.
 """
@@ -22,12 +22,13 @@ from sim_kinematic.policies.choosers.chooser_network import (
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
-"""Probability at the start of training that an interrupted agent continues on its path: 97 in 100, else nobody would ever
-arrive."""
+"""Probability, at the start of training, that an interrupted agent continues on its path: 0.97, as otherwise nobody
+would ever arrive."""
 AT_HAND, ASIDE = 1.0, -2.0
-"""First biases of the network for picking and placing at the target, and for waiting and the primitives."""
+"""Initial biases of the network for picking and placing at the target, and for waiting and the primitives."""
 GUESSED = ("held_by_other", "at_goal")
-"""Observations of each object that a robot that sees is not told and learns to guess, so that its memory holds them."""
+"""Exact values of each object that a robot with pictures does not observe and learns to predict, so that its memory
+holds them."""
 
 
 def guessed_columns(agent: str, objects: int) -> list[int]:
@@ -38,7 +39,7 @@ def guessed_columns(agent: str, objects: int) -> list[int]:
 
 
 class Chooser(nn.Module):
-    """A recurrent actor, a critic that observes the identity of the partner, and everything else that only training needs."""
+    """A recurrent actor, a critic that observes the identity of the partner, and the other parts that only training needs."""
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()
@@ -72,7 +73,7 @@ class Chooser(nn.Module):
             self.rest_1.bias.fill_(ASIDE)
 
     def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first.
+        """Return scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and initial states [B, H].
 
         ``pictures`` are roots of depth [T, B, H, W], of a policy that does not see [T, B, 0, 0].
         """
@@ -93,7 +94,7 @@ class Chooser(nn.Module):
         return scores + self.persist * interrupted, known
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.choosers.chooser_network.SkillPolicyNetwork` names its arrays, float32."""
+        """Return the actor's arrays, float32, by the names in `sim_kinematic.policies.choosers.chooser_network`."""
         named: dict[str, Tensor] = {"persist": self.persist}
         for name in ("object", "each_0", "each_1", "rest_0", "rest_1"):
             layer = getattr(self, name)

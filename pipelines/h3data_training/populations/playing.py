@@ -1,4 +1,4 @@
-"""Training episodes, played whole by processes that hold the homes: what learners saw, chose and gained.
+"""Training episodes, played whole by processes with homes in memory: observations, choices and rewards of learners.
 
 An episode follows from the weights, the seed and its number alone. So it does not matter which process plays it, and one that
 was lost is played again.
@@ -38,7 +38,7 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import run
 
 LOST_IN_A_ROW = 3
-"""Processes may be lost so often without an episode in between before a run gives up."""
+"""Number of processes that may be lost without an episode in between before a run gives up."""
 
 
 class Job(NamedTuple):
@@ -47,9 +47,9 @@ class Job(NamedTuple):
     number: int
     """Number of the episode in the run."""
     entry: int
-    """Entry of the pool that the episode is."""
+    """Entry of the pool with the episode."""
     partner: str
-    """A plan, or a learner by name."""
+    """Partner of the robot: a plan, or a learner by name."""
     networks: Mapping[str, SkillPolicyNetwork]
     """Networks of the learners that play, by name."""
     seed: int
@@ -69,7 +69,7 @@ class Decisions:
     pictures: Any
     """Square roots of depth images, float16 [D, H, W] in 0..1; [D, 0, 0] for a policy without pictures."""
     told: Any
-    """Exact state for the critic of a policy that sees only pictures, [D, N]; [D, 0] for other policies."""
+    """Exact state for the critic of a policy that observes only pictures, [D, N]; [D, 0] for other policies."""
     state: Any
     """Recurrent state before the decision, [D, H]."""
     allowed: Any
@@ -80,8 +80,8 @@ class Decisions:
     gain: Any
     """Reward until the next decision, discounted to this one, [D]."""
     discount: Any
-    """Discount of returns from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is
-    known."""
+    """Discount of returns from the next decision on, [D]; 0 after the last: the time is observed, so the end of an
+    episode is final."""
     counts: NDArray[np.int64]
     """Number of decisions in each episode, [E]; their sum is D."""
     partners: tuple[str, ...]
@@ -174,13 +174,13 @@ class _Sampler(RecurrentSkillPolicy):
 
 
 def log_softmax(scores: Array) -> Array:
-    """Logarithms of the probabilities of scores [C]; minus infinity stays what it is."""
+    """Return logarithms of the probabilities of scores [C]; minus infinity stays as it is."""
     shifted = scores - scores.max()
     return shifted - np.log(np.exp(shifted).sum())
 
 
 def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Array, NDArray[np.int64]]:
-    """Discounted reward between each decision and the next one [D], and the number of steps between them.
+    """Return the discounted reward between each decision and the next one [D], and the number of steps between them.
 
     Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;
     all but the last of them then have no reward.
@@ -249,7 +249,7 @@ class Players:
 
     @property
     def homes(self) -> int:
-        """Number of homes that the episodes are in."""
+        """Number of homes of the episodes."""
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:

@@ -1,4 +1,4 @@
-"""The episodes that a run plays again and again, drawn by several processes and kept in a file."""
+"""Episodes that a run plays again and again, sampled by several processes and stored in a file."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HomeTask = tuple[PopulationSettings, str, int]
-"""Settings, the name of a home and its number."""
+"""Settings, name and number of a home."""
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
-"""Seed of all pools: runs differ in what they make of the same episodes."""
+"""Seed of all pools: runs differ only in what they learn from the same episodes."""
 TRIES = 3
 """Number of seeds of an episode that are tried in a home."""
 
@@ -47,15 +47,15 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     home: str
     walk: str
-    """Walk of the person."""
+    """Gait of the person."""
     seed: int
     starts: list[list[float]]
-    """``(x, z, heading)`` of robot and person."""
+    """Starts ``(x, z, heading)`` of robot and person."""
     goals: list[StoredGoal]
 
 
 class Pool(msgspec.Struct, frozen=True, kw_only=True):
-    """All episodes of a file, and what they were drawn by."""
+    """All episodes of a file, and the settings by which they were sampled."""
 
     format: str
     drawn_by: dict[str, Any]
@@ -74,10 +74,10 @@ def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
 
 
 def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
-    """Return the episodes of a file; where there is none they are drawn, and it is written.
+    """Return the episodes of a file; if there is none, sample them and write it.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a pool of episodes, or is damaged.
         InputError: it was drawn by other settings.
         SceneError: a home has no room for an episode.
     """
@@ -146,7 +146,7 @@ def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -
 
 
 def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
-    """Return the episodes of a pool, ready to be played: homes are built here.
+    """Return the episodes of a pool, ready to be played, with homes built.
 
     Raises:
         InputError: a home is not there, or lacks an object.
@@ -238,7 +238,7 @@ def _home_bank(task: HomeTask) -> list[RearrangeBank]:
 
 
 def with_scenes(bank: RearrangeBank, file: Path) -> RearrangeBank:
-    """Return the same bank with its homes opened, for pictures.
+    """Return the bank with its homes opened, for pictures.
 
     Raises:
         InputError: the file does not name the homes, as one of before 0.3.

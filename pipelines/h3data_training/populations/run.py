@@ -51,7 +51,7 @@ def train(
     episodes: Sequence[RearrangeEpisode] | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Train until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and save.
+    """Train until the run is over, ``stop_after`` minutes have passed, or an interruption, and save.
 
     A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
 

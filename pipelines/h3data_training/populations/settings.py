@@ -19,16 +19,17 @@ WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
 """Observations of a chooser without the paper's humanoid GPS."""
 
 ROBOT = "robot"
-"""The learner that every population has."""
+"""Name of the learner that every population has."""
 LEARNED = {"learn_single": 1, "learn_pop": 8}
-"""Populations whose partners learn, with the number of partners (paper section 4.2)."""
+"""Number of partners of each population whose partners learn (paper section 4.2)."""
 NAMES = ("learn_single", *POPULATIONS, "learn_pop")
-"""The paper's populations."""
+"""Names of the paper's populations."""
 LONGEST = {"paper": 750, "natural": 1500}
-"""Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
+"""Length of an episode by the gait of people: that of the paper, and that of h3data, in which people walk at 1.3
+m/s."""
 ABLATIONS = (HUMANOID_GPS, "primitives")
-"""Parts that a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
-navigation."""
+"""Parts that a robot can be trained without (paper, additional ablations): the observation of the person's position;
+the primitives of navigation."""
 LEAST_CHUNKS = 12
 """Number of chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
@@ -52,16 +53,16 @@ class PopulationSettings:
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH
-    """Walk of people: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
-    of the episodes, for a robot that plays beside either."""
+    """Gait of people: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one
+    half of the episodes, for a robot that supports either."""
     oracle: bool = False
     """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). People are then those of the paper, also in episodes sampled with other people."""
     moves_starts: bool = True
-    """True if, in worlds on a device, each agent begins where it does in any episode of the same home. There are then so many
-    meetings that success in training tells of success in other homes."""
+    """True if, in worlds on a device, agents begin at starts of other episodes of the same home. Meetings are then so
+    varied that success in training predicts success in other homes."""
     without: tuple[str, ...] = ()
-    """Some of `ABLATIONS`, of the robot alone."""
+    """Ablations (`ABLATIONS`) of the robot alone."""
     pixels: bool = False
     """True if the robot observes what the paper's does, and no state: it has the observations
     `sim_kinematic.policies.choosers.chooser_network.PIXELS`. The critic, which only training needs, observes the state in
@@ -73,7 +74,8 @@ class PopulationSettings:
     features: int = 64
     """Number of values that represent a picture after the convolutions."""
     temperature: float = 1.0
-    """Temperature at which the finished robot draws its choices in play (`PolicyCard.temperature`); in training it is 1."""
+    """Temperature at which the finished robot samples its choices in play (`PolicyCard.temperature`); in training it is
+    1."""
     think_steps: int = 30
     """Number of steps after which a learner chooses again while it walks."""
 
@@ -86,17 +88,18 @@ class PopulationSettings:
     chunk: int = 16
     """Number of decisions through which a gradient is propagated."""
     critic_updates: int = 2
-    """Number of updates at the start in which only the critic learns, because its advantages are noise as long as it knows
-    nothing."""
+    """Number of updates at the start in which only the critic learns, because advantages are noise until it has learned
+    something."""
     epochs: int = 8
     chunks_per_minibatch: int = 12
     kl_most: float = 0.02
-    """Distance (KL) of the policy from the one that played after which no further epoch runs."""
+    """Distance (KL) of the policy from the one that played above which no further epoch runs."""
     rate: float = 1e-3
     rate_end: float = 0.1
     """Share of the learning rate that is left at the end."""
     guess: float = 0.0
-    """Weight of guesses about objects, of a robot that sees (`h3data_training.populations.networks.GUESSED`)."""
+    """Weight of predictions about objects, for a robot with pictures
+    (`h3data_training.populations.networks.GUESSED`)."""
     entropy: float = 0.005
     entropy_end: float = 0.2
     """Share of the weight of the entropy that is left at the end."""
@@ -155,7 +158,7 @@ class PopulationSettings:
 
     @property
     def walks(self) -> tuple[str, ...]:
-        """Walks that take turns in a home."""
+        """Gaits that take turns in a home."""
         return tuple(LONGEST) if self.walk == BOTH else (self.walk,)
 
     @property
@@ -167,7 +170,7 @@ class PopulationSettings:
 
     @property
     def learners(self) -> tuple[str, ...]:
-        """Names of those who learn: the robot, and partners that are not planners."""
+        """Names of the learners: the robot, and partners that are not planners."""
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:
@@ -195,7 +198,7 @@ class PopulationSettings:
         return self.partners[int(order[place])]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as they stand in checkpoints and cards."""
+        """Return the settings as plain values, as in checkpoints and cards."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def in_worlds(self, worlds: int) -> PopulationSettings:
@@ -242,9 +245,9 @@ minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""
 SEEING = PopulationSettings(
     pixels=True, hidden=128, chunk=64, chunks_per_minibatch=3, guess=0.25, entropy_end=0.05, temperature=0.25
 )
-"""Our own settings for a robot that sees. It has to remember what it has found out in an episode. While the person is near, it
-decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without pictures. The
-temperature was chosen on val homes (h3data docs populations)."""
+"""Settings for a robot with pictures, ours. It has to remember what it has observed in an episode. While the person is
+near, it decides six times a second, so gradients go through 64 decisions; a minibatch has as many decisions as without
+pictures. The temperature was chosen on val homes (h3data docs populations)."""
 
 
 def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:

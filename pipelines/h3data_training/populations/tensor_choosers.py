@@ -78,7 +78,7 @@ class TensorSkillPolicy:
         return [self._state, self._thought]
 
     def begin(self, jobs: Sequence[Job], names: Sequence[str], generator: torch.Generator, *, steps: int) -> None:
-        """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
+        """Begin episodes of at most so many steps, with the present networks in the worlds whose ``names`` they have."""
         device = self._sim.device
         first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
         self._hold, self._observations, self._sees = first.card.hold, first.card.observations, bool(first.sees)
@@ -106,7 +106,7 @@ class TensorSkillPolicy:
         self._thought.zero_()
 
     def look(self, depth: Tensor, found: Tensor) -> None:
-        """Take in what networks that see choose by until the next look.
+        """Read the pictures by which networks choose until the next look.
 
         Args:
             depth: what the arm's camera sees [W, H, W'], as the observation ``arm_depth``.
@@ -120,7 +120,7 @@ class TensorSkillPolicy:
         self._features.copy_(seen)
 
     def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `Row`."""
+        """Choose [W] by `Paths` and ``noise`` [W, C], -1 for agents that are not asked; also return the parts of a `Row`."""
         play = self._play
         view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)
@@ -147,7 +147,7 @@ class TensorSkillPolicy:
         return torch.where(asked, chosen, FREE), each, rest, self._pictures, told, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
-        """Random numbers of the step with this number [1], uniform in 0..1, [W, C]."""
+        """Return random numbers of the step with this number [1], uniform in 0..1, [W, C]."""
         return self._noise.index_select(0, step)[0]
 
     def keep(self, row: Row, step: Tensor) -> None:
@@ -173,7 +173,7 @@ class TensorSkillPolicy:
     def decisions(
         self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]
     ) -> dict[str, Decisions]:
-        """Decisions of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
+        """Return decisions of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
         asked = self._kept["asked"][: len(rewards)]
         world, when = asked.T.nonzero().unbind(1)  # one world after the other
         is_last = torch.ones_like(world, dtype=torch.bool)
@@ -209,7 +209,10 @@ def arrays_of(networks: Sequence[SkillPolicyNetwork], device: torch.device) -> d
 def encode(
     shown: Mapping[str, Tensor], agent: str, objects: int, *, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Tensor, Tensor]:
-    """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
+    """Return inputs of each object [W, K, F] and the rest [W, R].
+
+    They are those of `sim_kinematic.policies.choosers.chooser_network.encoded`.
+    """
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
     for name in numbers_of(observations):
         encoding, seen = OF_CHOICES.get(name), shown[name]
@@ -233,7 +236,7 @@ def features(arrays: Arrays, roots: Tensor) -> Tensor:
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork.__call__`.
+    """Return scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork.__call__`.
 
     Inputs are [P, N, K, F] for objects, [P, N, R] for the rest, and the states.
     """

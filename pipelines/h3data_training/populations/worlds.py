@@ -27,14 +27,15 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.rearrange import planner
 
 APART_M = 2.0
-"""Agents begin at least this far from each other."""
+"""Least distance between agents at the start [m]."""
 SEEN = ("arm_depth", "humanoid_detector")
 """Observations that come from pictures."""
 LOOK_STEPS = 5
-"""Steps from one picture to the next. Drawing costs more than all the rest of a step, and close to each other agents choose
-once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most 4 steps old."""
+"""Number of steps from one picture to the next. A picture takes longer than the rest of a step, and close to each other
+agents choose once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most
+4 steps old."""
 CHECK_STEPS = 25
-"""Number of steps after which it is checked whether all episodes are over: that waits for the device."""
+"""Number of steps between checks whether all episodes are over, which wait for the device."""
 
 
 class TensorPlayers:
@@ -73,7 +74,7 @@ class TensorPlayers:
 
     @property
     def homes(self) -> int:
-        """Number of homes that the episodes are in."""
+        """Number of homes of the episodes."""
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:

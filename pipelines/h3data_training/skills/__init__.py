@@ -1,1 +1,1 @@
-"""Learning the skills of a robot: nav, pick and place."""
+"""Training of the skills of a robot: nav, pick and place."""

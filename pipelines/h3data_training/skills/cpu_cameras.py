@@ -17,7 +17,7 @@ from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 
 
 class CpuSkillCameras:
-    """Stands in for `h3data_training.torch.skills.cameras.SkillCameras`: the CPU renderer, world by world."""
+    """CPU version of `h3data_training.torch.skills.cameras.SkillCameras`, which renders world by world."""
 
     def __init__(self, sim: SkillTensors, *, size: tuple[int, int]) -> None:
         self._sim, self._size = sim, size

@@ -1,4 +1,4 @@
-"""Starts for training a skill in many homes, made by several processes and kept in a file."""
+"""Starts for training a skill in many homes, made by several processes and stored in a file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sim_kinematic.tasks.sources import Home
 
 FILE_FORMAT = "h3data.skill_starts/1"
 DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot", "human")
-"""Settings that determine starts, besides the seed."""
+"""Settings that, besides the seed, determine starts."""
 
 
 def make_skill_bank(

@@ -15,10 +15,11 @@ from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
 GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
-"""The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
-after: around 1, robots learned not to take anything, since they dropped it again."""
+"""Command of the hand around which an actor explores at first. A hand that opens at random never experiences what
+follows: around 1, robots learned not to take anything, since they dropped it again."""
 UNTAUGHT_GRIP = 1.0
-"""The same for place without a teacher: around 1.6, noise of 0.4 lets go once in 30,000 decisions, so nothing is placed."""
+"""Command of the hand around which place without a teacher explores: around 1.6, noise of 0.4 opens it once in 30,000
+decisions, so nothing is placed."""
 UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
 """Settings of social navigation that have no meaning for skills."""
 
@@ -40,23 +41,24 @@ class SkillSettings(Settings):
 
     skill: Skill = "nav"
     episodes_per_home: int = 3
-    """Number of episodes of rearrangement per home; each has several objects and goals to get to."""
+    """Number of episodes of rearrangement per home; each has several objects and goals as targets."""
     starts: int = 32
     """Number of starts of the robot in each episode."""
     path_m: tuple[float, float] = (0.0, 1000.0)
-    """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
-    judged let it learn the end first."""
+    """Least and greatest length of the path to the target at the start [m]. Paths shorter than in the evaluation of the
+    skill let it learn the end first."""
     near_share: float = 0.0
-    """Share of starts within a metre of where the target is reached from. A robot that has to get there first seldom gets to
-    know what comes then."""
+    """Share of starts within a metre of the place from which the target is reached. From elsewhere a robot seldom
+    experiences what follows."""
     reaching_share: float = 0.0
-    """Share of starts at the place from which the target is reached, with the arm somewhere between rest and the target. A
-    robot without a teacher first gets to know what comes at the end."""
+    """Share of starts at the place from which the target is reached, with the arm between rest and the target. A robot
+    without a teacher experiences the end of the skill first."""
     demonstrations: float = 0.0
-    """Share of worlds in which the teacher acts as long as it has a weight. The policy imitates it there too, and so gets to
-    know states that it does not reach itself."""
+    """Share of worlds in which the teacher acts as long as it has a weight. The policy imitates it there too, and so
+    observes states that it does not reach itself."""
     limit: int = 300
-    """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
+    """Number of steps after which an episode is cut short, as if its time were over: what a stuck robot does teaches
+    little."""
     observations: tuple[str, ...] = OF_THE_BASE
     near_m: float = 0.0
 
@@ -84,7 +86,7 @@ class SkillSettings(Settings):
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Names of the pictures that the policy sees: the depth of the arm's camera."""
+        """Names of the pictures that the policy observes: the depth of the arm's camera."""
         return ("arm_depth",)
 
     @property
@@ -112,11 +114,11 @@ class SkillSettings(Settings):
         return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
-        """Return the second stage of social navigation without the teacher: the actor has left it behind."""
+        """Return the second stage of social navigation without the teacher, which the actor no longer needs."""
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings by name, without those that skills do not use."""
+        """Return the settings by name, without those that skills do not use."""
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
 
@@ -168,8 +170,9 @@ RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     },
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
 }
-"""``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; only critic and teacher are told
-the map. ``tiny``: one CPU core, and no pictures: the robot is told where its target is and where the path there begins."""
+"""Recipes by name. ``fast``: one GPU, minutes, pictures of 64 x 48 and the observations of the paper's robot; only
+critic and teacher observe the map. ``tiny``: one CPU core, and no pictures: the robot observes its target and the
+beginning of the path to it."""
 
 
 def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:

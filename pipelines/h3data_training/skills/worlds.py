@@ -23,7 +23,7 @@ from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.sensing.sensor import scaled_depth
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
-"""Sums over worlds and steps that `ActionRepeatSkills.totals` keeps."""
+"""Names of the sums over worlds and steps in `ActionRepeatSkills.totals`."""
 
 
 class ActionRepeatSkills(ActionRepeat):
@@ -114,7 +114,7 @@ class ActionRepeatSkills(ActionRepeat):
         ]
 
     def taught(self) -> Tensor:
-        """Actions of the scripted teacher in these states, [W, A]."""
+        """Return the actions of the scripted teacher in these states, [W, A]."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 

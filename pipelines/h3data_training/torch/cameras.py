@@ -40,7 +40,7 @@ worlds."""
 
 
 class TensorCameras:
-    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in where the two are."""
+    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in the two places."""
 
     def __init__(
         self,
@@ -140,12 +140,12 @@ class TensorCameras:
         *,
         place: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """`pose`, then `picture` of all views, each [views, W, H, W', ...]."""
+        """Return the `picture` of all views after `pose`, each [views, W, H, W', ...]."""
         self.pose(robot, human, place=place)
         return self._taken(self.views, outputs)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Put the robot and the person of all worlds where they are.
+        """Move the robot and the person of all worlds to their present places.
 
         ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
         """
@@ -230,7 +230,7 @@ def light_of_all(homes: Sequence[Scene], lamps: Sequence[LitScene | None]) -> Li
 
 
 def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInstance], range]:
-    """Meshes and instances of a home with a robot in it, and the numbers of the robot's links among the instances."""
+    """Return the meshes and instances of a home with a robot in it, and the instance numbers of the robot's links."""
     home = render_scene(scene)
     links = [link for link in robot.links if link.mesh is not None]
     first, ids = len(home.instances), {i.name: i.semantic_id for i in scene.instances}
@@ -244,7 +244,7 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
 
 
 def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
-    """World matrices [W, N, 3, 4] of frames in agents.
+    """Return the world matrices [W, N, 3, 4] of frames in agents.
 
     Frames are [N, 3, 4] or [W, N, 3, 4], agents at [W, 2] with headings [W], and floors of one height or of one for
     each world [W]. No matrix product is used, which a GPU might compute with 10 bits.

@@ -26,7 +26,7 @@ TOLERANCE_M = 0.004
 CELL_M = 0.02
 """Side of a cell of the robot's distance field."""
 SCALLOP_M = 0.003
-"""A row of balls may be this much thinner than the capsule that it stands for."""
+"""Depth of the notches between balls [m]: a row of balls may be this much thinner than the capsule that it replaces."""
 BONE_TOLERANCE_M = 0.007
 """Tolerance like `TOLERANCE_M` for boxes of bones, whose corners stand 4 mm out of the balls at their ends [m]."""
 BONE_RADIUS_M, BONE_END_M = 0.0125, 0.0085
@@ -41,12 +41,12 @@ class TouchTest:
     field: Tensor
     """Coefficients of the trilinear distance in each cube between eight cell centres, [cubes, 8] [m]."""
     low: Tensor
-    """First cell centre in the frame of the robot's base, [3] [m]."""
+    """Position of the first cell centre in the frame of the robot's base, [3] [m]."""
     last: Tensor
-    """Numbers of cubes, less one, [3]."""
+    """Number of cubes less one along each axis, [3]."""
     strides: tuple[int, int]
     balls: Tensor
-    """Centres in the frame of the root, a row for each posture, [rows, S, 3] [m]."""
+    """Centres of the balls in the frame of the root, a row for each posture, [rows, S, 3] [m]."""
     radii: Tensor
     """Radii of the balls [S] [m]."""
     cycle: WalkingCycle
@@ -62,7 +62,7 @@ class TouchTest:
         *,
         person_contact: PersonContact = "body",
     ) -> TouchTest:
-        """Return the test for a robot at rest and a person who walks as the spec says, with the given collision shapes.
+        """Return the test for a robot at rest and a person with the gait of the spec, with the given collision shapes.
 
         Raises:
             InputError: a shape of the robot is neither box nor capsule.

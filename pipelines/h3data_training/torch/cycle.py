@@ -1,4 +1,4 @@
-"""Table of the person's walking cycle on a device: parts that are fixed to the body, by phase and blend."""
+"""Table of the person's walking cycle on a device: parts fixed to the body, by phase and blend."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from h3data_training.torch.state import HumanTensors
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 
 PHASES = 128
-"""Parts of the cycle; within each, things move straight. From one to the next they may jump: while the person sets off or
-stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
+"""Number of parts of the cycle. Within each, motion is straight. From one to the next it may jump: while the person
+sets off or stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkingCycle:
-    """Clip of a walking person as tables, which have a row for both ends of each part of the cycle, by blend."""
+    """Clip of a walking person as tables, with a row for both ends of each part of the cycle, by blend."""
 
     human: Humanoid
     clip: int
     blends: int
-    """Number of blends in the tables: those that a person goes through when setting off and stopping."""
+    """Number of blends in the tables, for the phases of setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:

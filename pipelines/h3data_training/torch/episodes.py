@@ -1,4 +1,4 @@
-"""Bank of sampled episodes of a task of one robot and one person who keeps to a script.
+"""Bank of sampled episodes of a task of one robot and one scripted person.
 
 Everything that needs a search (starts clear of furniture, shortest paths between random goals) is computed once on the
 host, so that steps on a device only look it up.
@@ -29,10 +29,10 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeBank:
-    """Bank of N episodes: starts, and all way points that the person can reach in the time available."""
+    """Bank of N episodes: starts, and all waypoints that the person can reach in the time available."""
 
     floors: tuple[FreeSpace, ...]
-    """Floors of the scenes that are played in."""
+    """Floors of the scenes."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the scene, [N]."""
@@ -43,8 +43,8 @@ class EpisodeBank:
     human_xz: NDArray[np.float64]
     human_heading: NDArray[np.float64]
     way_points: NDArray[np.float64]
-    """[N, P, 2] [m]; the last one fills the rows of those who have fewer. Of people who walk with strides where they are
-    after each step, and ``headings`` [N, P] [rad]."""
+    """Waypoints of the person, [N, P, 2] [m]; the last one fills shorter rows. For people with strides, their places
+    after each step, with ``headings`` [N, P] [rad]."""
     headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
     """Seeds of the episodes, as in recordings, [N]."""

@@ -1,4 +1,4 @@
-"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
+"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can compute them in every step.
 
 Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
 (`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished
@@ -22,11 +22,11 @@ from h3data.scene.freespace._sdf import SLACK_M
 from h3data_training.torch.step import Grids, sample_sdf
 
 AROUND = 4
-"""Number of rows and of columns of nodes that are tried around an end of a path."""
+"""Number of rows and of columns of lattice nodes that are tried around an end of a path."""
 LOOKS = 32
 """Number of places on the straight line at which the distance to obstacles is looked up."""
 LOOK_APART_M = 0.4
-"""Largest distance between these places: nothing that keeps an agent out is thinner than twice its radius [m]."""
+"""Largest distance between these places [m]: no obstacle for an agent is thinner than twice its radius."""
 DETOUR_M = 0.02
 """Additional length of a path over a node at which the node's weight in the direction falls to 1 / e [m]."""
 
@@ -44,18 +44,18 @@ class Lattices:
     table: Tensor
     """Shortest distances of all floors [m], inf between islands, float32 [N]."""
     shift: Tensor
-    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: a point p is at ``shift + scale p`` in cells."""
     scale: Tensor
     top: Tensor
     """Largest first row and column of the nodes around a point, [R, 2]."""
     stride: Tensor
-    """Nodes per row of the lattice, int64 [R]."""
+    """Number of nodes per row of the lattice, int64 [R]."""
     first: Tensor
     """Number of the first node, int64 [R]."""
     table_first: Tensor
-    """Place of the first row in ``table``, int64 [R]."""
+    """Index of the first row in ``table``, int64 [R]."""
     size: Tensor
-    """Rows of the table, int64 [R]."""
+    """Number of rows of the table, int64 [R]."""
     step: Tensor
     """Spacing of the nodes [m], [R]."""
     clearance: Tensor

@@ -1,4 +1,4 @@
-"""Steps as few kernels, and as CUDA graphs."""
+"""Compilation of steps into few kernels and CUDA graphs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ R = TypeVar("R")
 
 
 def fused(function: Callable[P, R]) -> Callable[P, R]:
-    """``function`` of tensors, which has no branches, as a few kernels instead of one for each operation (`torch.compile`).
+    """Compile a function of tensors, which has no branches, into a few kernels (`torch.compile`).
 
     The first call compiles, which takes some 20 s, or a few where the files of the last time are still there. Products and
     sums may be contracted: the last bits differ from those of ``function``.
@@ -28,12 +28,12 @@ def fused(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def can_fuse() -> bool:
-    """Return whether what `torch.compile` needs for a GPU is installed; it comes with torch for CUDA on Linux."""
+    """Return whether the requirements of `torch.compile` on a GPU are installed, as with torch for CUDA on Linux."""
     return importlib.util.find_spec("triton") is not None
 
 
 def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
-    """Writes new values into tensors that a graph reads and writes, one after the other."""
+    """Write new values into tensors that a graph reads and writes, one after the other."""
     for tensor, value in zip(kept, new, strict=True):
         tensor.copy_(value)
 
@@ -50,7 +50,7 @@ def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor],
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:
-    """Captures ``step`` as a CUDA graph, which reads and writes the same tensors each time.
+    """Capture ``step`` as a CUDA graph, which reads and writes the same tensors each time.
 
     The tensors in ``kept`` are restored after the trial runs.
     """

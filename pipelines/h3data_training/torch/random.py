@@ -19,7 +19,7 @@ _ROUNDS = 10
 
 
 def keys(seeds: Sequence[int], stream: str, *, device: torch.device | str, world: int = 0) -> Tensor:
-    """Keys int64 [W, 2] of the generators of ``seeds`` [W] for one purpose (``stream``) of one world."""
+    """Return keys int64 [W, 2] of the generators of ``seeds`` [W] for one purpose (``stream``) of one world."""
     digest = hashlib.blake2b(f"{stream}/{world}".encode(), digest_size=8).digest()
     second = _signed(int.from_bytes(digest, "little"))
     return torch.tensor([[_signed(seed), second] for seed in seeds], dtype=torch.int64, device=device).reshape(-1, 2)

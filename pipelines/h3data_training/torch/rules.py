@@ -1,4 +1,4 @@
-"""Rules of tasks that hold on a device. Other rules are refused by their name: no rule is silently ignored."""
+"""Rules of tasks that a device supports. Other rules are refused by name: no rule is silently ignored."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Names = Mapping[type, tuple[str, ...]]
 
 
 class Held(NamedTuple):
-    """The rules of a task that hold on a device."""
+    """Rules of a task that a device supports."""
 
     like: Any
-    """Rules that a device plays; other rules may differ from them only in the fields below."""
+    """Rules that a device supports; other rules may differ from them only in the fields below."""
     ported: Names
-    """Fields of each spec that a device reads. Specs among them are looked into."""
+    """Fields of each spec that a device reads, including those of specs within it."""
     drawn: Names
-    """Fields that act on the CPU, where episodes are drawn, or on agents that no device has."""
+    """Fields that act on the CPU, where episodes are sampled, or on agents that no device has."""
 
 
 _BASE = (
@@ -114,7 +114,7 @@ HELD: Mapping[str, Held] = {
     ),
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
 }
-"""Rules that hold on a device, by task and by part of a learned skill."""
+"""Rules that a device supports, by task and by part of a learned skill."""
 _WORLD = ("solid_agents", "floor_moves")
 """Rules that the CPU's world reads of the spec of any task."""
 
@@ -140,7 +140,7 @@ def _held_with_things(rules: RearrangeSpec) -> Held:
 
 
 def refuse_others(task: str, rules: Any) -> None:
-    """Refuse rules of a task that do not hold on a device; those of a task of one's own are for its functions to read.
+    """Refuse rules of a task that a device does not support; for custom tasks, only those of the base class.
 
     Raises:
         InputError: a field that a device does not read has another value than it has in `Held.like`.

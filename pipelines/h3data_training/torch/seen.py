@@ -34,5 +34,5 @@ def free_along(grids: Grids, xz: Tensor, headings: Tensor, max_m: float) -> Tens
 
 
 def clearance(grids: Grids, points: Tensor) -> Tensor:
-    """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+    """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
     return sample_sdf(grids, points.movedim(1, 0)).distance.movedim(0, 1)

@@ -52,7 +52,7 @@ class SocialNavTensors(TaskTensors):
         return StepOutcome(reward=reward, terminated=ends, success=success), memory  # type: ignore[arg-type]
 
     def succeeded(self, play: Play) -> Tensor:
-        """Worlds whose robot has followed long enough, bool [W]."""
+        """Return the worlds whose robot has followed long enough, bool [W]."""
         return play.memory["followed"] >= self.paper.follow_steps
 
     def path_to_person(self, play: Play) -> ShortestPath:

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 FLAT = 1e-9
-"""A gradient of the distance shorter than this [m per cell] gives no direction: it is divided by this, not by its length."""
+"""Length of a gradient of the distance below which it gives no direction [m per cell]: it is divided by this value, not
+by its length."""
 
 
 class Floor(Protocol):
@@ -73,13 +74,13 @@ class Grids:
     table: Tensor
     """Coefficients k, for each square between four cell centres, of ``k0 + k1 a + k2 b + k3 a b``, [squares, 4] [m]."""
     shift: Tensor
-    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: a point p is at ``shift + scale p`` in cells."""
     scale: Tensor
     top: Tensor
-    """Largest place on the grid in cells, [R, 2], and ``last`` [R, 2] the last square that begins before it."""
+    """Largest position on the grid in cells, [R, 2]; ``last`` [R, 2] is the last square that begins before it."""
     last: Tensor
     stride: Tensor
-    """Squares per row, [R]."""
+    """Number of squares per row, [R]."""
     first: Tensor
     """Number of the first square, int64 [R]."""
     zero: Tensor
@@ -130,7 +131,7 @@ class Sample(NamedTuple):
 
 
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
-    """Signed distance and its gradient at points, bilinear.
+    """Return the signed distance and its gradient at points, bilinear.
 
     Outside of the grid it is the value at the border minus the distance to it (`h3data.scene.freespace._sdf`).
     """
@@ -151,7 +152,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def heading_direction(heading: Tensor) -> Tensor:
-    """Forward (x, z) of headings [...], [..., 2]."""
+    """Return the forward direction (x, z) [..., 2] of headings [...]."""
     return torch.stack([heading.cos(), -heading.sin()], -1)
 
 
@@ -164,7 +165,7 @@ def least_clearance(grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequen
 def push_out(
     grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequence[float], radius: float, iterations: int
 ) -> Tensor:
-    """Base positions [..., 2] moved until their discs, if possible, keep their radius. Who is free stays."""
+    """Move base positions [..., 2] until their discs, if possible, keep their radius. Free bases stay where they are."""
     for _ in range(iterations):
         for offset in offsets:
             distance, slope = sample_sdf(grids, torch.add(xz, direction, alpha=offset) if offset else xz)
@@ -226,7 +227,7 @@ def drive_base(
 
 
 class Velocities(NamedTuple):
-    """Commands [W] in SI units; no ``lateral`` where the base cannot."""
+    """Commands [W] in SI units; without ``lateral`` if the base cannot move sideways."""
 
     speed: Tensor
     lateral: Tensor | None
@@ -267,7 +268,7 @@ def drive_robots(
 def move_humans(
     person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
 ) -> HumanTensors:
-    """Return people [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
+    """Return people [W, ...] at the places [W, 2] and headings [W] after a step."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
     return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))
@@ -284,7 +285,10 @@ def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) 
 
 
 def walk_humans(person: HumanTensors, goal_xz: Tensor, spec: WalkerSpec, *, dt: float = STEP_S) -> HumanTensors:
-    """Humanoids [W, ...] one step straight towards their way points [W, 2]. They turn on the spot first, never overshoot."""
+    """Move humanoids [W, ...] one step straight towards their waypoints [W, 2].
+
+    They turn on the spot first, and never overshoot.
+    """
     xz, heading = person.xz, person.heading
     gap = goal_xz - xz
     away = torch.hypot(gap[:, 0], gap[:, 1])

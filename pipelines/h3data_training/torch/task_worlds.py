@@ -46,13 +46,13 @@ class Play(NamedTuple):
     robot: RobotTensors
     human: HumanTensors
     episode: Tensor
-    """Number in the bank, int64 [W]."""
+    """Number of the episode in the bank, int64 [W]."""
     leg: Tensor
-    """Number of the way point that the person walks to, int64 [W]."""
+    """Number of the waypoint that the person walks to, int64 [W]."""
     steps: Tensor
-    """Steps of the episode so far, int64 [W]."""
+    """Number of steps of the episode so far, int64 [W]."""
     ended: Tensor
-    """The episode is over: the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step begins another, bool [W]."""
     memory: Mapping[str, Tensor]
     """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
@@ -65,13 +65,13 @@ class Play(NamedTuple):
     reward: Tensor
     """Reward of the last step, [W]."""
     terminated: Tensor
-    """The rules ended the episode in the last step, bool [W]."""
+    """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
     """True if the episode had all its steps, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:
@@ -106,7 +106,7 @@ class Agents(NamedTuple):
     """Agents of all worlds at one step; there are no objects."""
 
     agents: tuple[Any, Any]
-    """Robots and people; each has ``xz`` and ``heading``."""
+    """State of robots and people; each has ``xz`` and ``heading``."""
     held_by: Tensor | None = None
     """Holders of objects: an empty array [W, 0]."""
 
@@ -120,10 +120,10 @@ class Outlines:
     robot_m: float
     """Radius of the robot's discs [m]."""
     human_m: float
-    """Radius of the person as a disc."""
+    """Radius of the disc of the person [m]."""
     cycle: WalkingCycle
     legs: Tensor
-    """Middles of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
+    """Centres of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
 
 
 class TensorWorld(NamedTuple):
@@ -135,7 +135,7 @@ class TensorWorld(NamedTuple):
     """World one step ago; headings of people are not known."""
     start: Agents
     touching: Tensor
-    """Robot and person touch, bool [W, 1]."""
+    """True if robot and person touch, bool [W, 1]."""
     floor_y: Tensor
     """Height of the floor in each world [m], [W]."""
     grids: Grids
@@ -149,11 +149,14 @@ class TensorWorld(NamedTuple):
         return self.floor_y
 
     def clearance(self, points: Tensor) -> Tensor:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return clearance(self.grids, points)
 
     def free_along(self, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
-        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        """Return the distance [W, R] [m] from places [W, 2] along headings [W, R] [rad] to the nearest obstacle.
+
+        It is at most ``max_m``.
+        """
         return free_along(self.grids, xz, headings, max_m)
 
     def circles(self, agent: int, *, legs: bool = False) -> Tensor:
@@ -169,7 +172,7 @@ class TensorWorld(NamedTuple):
         return torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1)
 
     def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
-        """World points [W, n, 3] in the agent root frames of agents."""
+        """Transform world points [W, n, 3] into the agent root frames of agents."""
         seen = in_base_frame(own.xz[:, None], own.heading[:, None], points[..., 0:3:2], xp=torch)
         return torch.stack([seen[..., 0], points[..., 1] - self.floor_y[:, None], -seen[..., 1]], -1)
 
@@ -199,7 +202,7 @@ class TensorRollout:
 
 
 class TaskTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,
@@ -259,7 +262,7 @@ class TaskTensors:
 
     @property
     def action_width(self) -> int:
-        """Numbers of an action: 2, or 3 where the robot can move sideways."""
+        """Number of values of an action: 2, or 3 if the robot can move sideways."""
         return 3 if self.spec.robot.max_lateral_mps else 2
 
     def place_of(self, play: Play) -> Tensor:
@@ -267,7 +270,7 @@ class TaskTensors:
         return self._place[play.episode]
 
     def world(self, play: Play) -> TensorWorld:
-        """Agents and floors."""
+        """Return the agents and floors."""
         start, place = self._starts[play.episode], self.place_of(play)
         return TensorWorld(
             worlds=len(play.steps),
@@ -306,12 +309,12 @@ class TaskTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def before_the_first(self, episode: Tensor) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         play = Play.before_the_first(episode.to(self.device), self.dtype, {})
         return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
 
     def step(self, play: Play, action: Tensor) -> Play:
-        """Return all worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
+        """Return all worlds after ``action`` [W, 2 or 3]; worlds that had ended are at the start of their next episode."""
         spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
         episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
         row = episode * legs
@@ -368,7 +371,7 @@ class TaskTensors:
         }
 
     def succeeded(self, play: Play) -> Tensor:
-        """Worlds whose last step was judged a success, bool [W]."""
+        """Return the worlds whose last step was judged a success, bool [W]."""
         return play.memory["success"]
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
@@ -383,7 +386,7 @@ class TaskTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def context(self, play: Play) -> SensorContext:
-        """Context from which the robot's sensors compute observations."""
+        """Return the context from which the robot's sensors compute observations."""
         world: Any = self.world(play)
 
         def path() -> tuple[Tensor, Tensor]:
@@ -405,7 +408,7 @@ class TaskTensors:
 
     # --- whether the task is for arrays of any namespace --------------------------------------------------------------
     def check_functions(self, names: Sequence[str], worlds: int = 2) -> None:
-        """Calls `Task.begin`, `Task.judge` and the named sensors with tensors without data.
+        """Call `Task.begin`, `Task.judge` and the named sensors with tensors without data.
 
         Whatever waits for the device, needs NumPy or what no device has, fails.
 
@@ -451,7 +454,7 @@ def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
 
 @contextmanager
 def in_words(which: str) -> Iterator[None]:
-    """Faults of a task's function as one sentence."""
+    """Raise errors of a task's function, in this block, as one sentence."""
     try:
         yield
     except H3DataError:
@@ -466,7 +469,7 @@ def in_words(which: str) -> Iterator[None]:
 
 
 def on_meta(thing: Any) -> Any:
-    """Return the same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
+    """Return a copy of an object in which all tensors, also those in nested dataclasses, are without data (device ``meta``)."""
     for name, value in vars(thing).items():
         if isinstance(value, Tensor):
             object.__setattr__(thing, name, value.to("meta"))

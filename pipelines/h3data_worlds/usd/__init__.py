@@ -1,1 +1,1 @@
-"""Scenes as USD: `writing` makes stages that Isaac, Blender and Omniverse open, `reading` makes scenes of any stage."""
+"""Scenes as USD: `writing` makes stages that Isaac, Blender and Omniverse open, `reading` makes scenes from any stage."""

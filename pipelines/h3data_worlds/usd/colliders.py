@@ -15,7 +15,7 @@ from h3data_worlds.usd.stages import OpenStage, pxr
 from h3data_worlds.usd.surfaces import prim_axis, prim_size
 
 MAX_PIECES = 64
-"""A mesh of more connected pieces becomes one hull."""
+"""Largest number of connected pieces of a mesh; one with more becomes one hull."""
 HALF_MIN_M = 1e-3
 """Least half extent of a box around flat things [m]."""
 _WELD_M = 1e-5

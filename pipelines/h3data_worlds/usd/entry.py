@@ -1,4 +1,4 @@
-"""USD among the scenes that are found by path: an entry point of the group ``h3data.scenes``."""
+"""Reader of USD scenes by path: an entry point of the group ``h3data.scenes``."""
 
 from __future__ import annotations
 

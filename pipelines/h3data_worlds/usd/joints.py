@@ -1,4 +1,4 @@
-"""Joints of UsdPhysics as things that open."""
+"""Joints of UsdPhysics as joints of articulated things."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Link:
 
 
 class JointReader:
-    """Makes articulated things of the joints of a stage."""
+    """Reader of the joints of a stage as articulated things."""
 
     def __init__(self, opened: OpenStage, notes: dict[str, None]) -> None:
         self.opened, self.notes = opened, notes

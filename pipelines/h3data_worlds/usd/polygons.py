@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 
 MAX_CORNERS = 1000
-"""Limit of corners of a polygon that no fan fits."""
+"""Largest number of corners of a polygon that no fan fits."""
 
 
 def triangles_of(

@@ -1,4 +1,4 @@
-"""A USD stage as a scene.
+"""Reading of a USD stage as a scene.
 
 Each prim with a semantic label, a rigid body, an instance of a prototype, a copy of a point instancer and a model of kind
 ``component`` is an instance with all that lies below it; a surface that is in none of these is one of its own. Rigid bodies

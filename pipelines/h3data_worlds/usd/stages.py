@@ -1,4 +1,4 @@
-"""Stages of USD files: opened without side effects, with all that is missing or faulty in them named."""
+"""Stages of USD files: opened without side effects, with a list of everything missing or faulty in them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Keep USD from printing, and name a file in which it finds damage: much of a file is only decoded when it is used.
+    """Keep USD from printing, and name a damaged file: much of a file is only decoded when it is used.
 
     Raises:
         FormatError: the file, or one that it refers to, is damaged.
@@ -71,7 +71,7 @@ class OpenStage:
     turn: NDArray[np.float64]
     """Rotation from the stage's axes to +Y up, shape [4, 4]."""
     missing: tuple[str, ...]
-    """Files that the stage refers to and that are not there."""
+    """Referenced files that do not exist."""
     faults: tuple[str, ...]
     """Other faults of composition, such as references in a circle."""
 
@@ -86,7 +86,7 @@ class OpenStage:
         return self.metres * (np.asarray(points, np.float64) @ self.turn[:3, :3].T)
 
     def directions(self, vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Directions [N, 3] of a frame of the stage in that frame with +Y up."""
+        """Return the directions [N, 3] of a frame of the stage in that frame with +Y up."""
         return np.asarray(vectors, np.float64) @ self.turn[:3, :3].T
 
 

@@ -1,4 +1,4 @@
-"""Surfaces of a stage: prims that are seen as meshes with colours and textures.
+"""Surfaces of a stage: visible prims as meshes with colours and textures.
 
 Read are polygons (the control cage of subdivided ones), boxes, balls, cylinders, cones, capsules and planes;
 `UsdPreviewSurface` (colour, image, vertex colours) and the base colour and image of Omniverse's materials.
@@ -23,7 +23,7 @@ from h3data_worlds.usd.polygons import triangles_of
 from h3data_worlds.usd.stages import OpenStage, is_inside, pxr
 
 MAX_TRIANGLES = 20_000_000
-"""Limit of triangles of all prims of a stage, counted where they are stored."""
+"""Largest number of triangles of all prims of a stage, counted where they are stored."""
 _GRAY = (0.5, 0.5, 0.5)
 
 
@@ -40,15 +40,15 @@ class Look:
 
 @dataclass(kw_only=True, eq=False)
 class SurfaceReader:
-    """Reads the surfaces of one stage; materials and images once."""
+    """Reader of the surfaces of one stage; it reads materials and images once."""
 
     open: OpenStage
     ours: bool = False
     """True if h3data wrote the stage: images are then multiplied with the colours of vertices."""
     notes: dict[str, None] = field(default_factory=dict)
-    """Sentences on what was left out, in order."""
+    """Sentences on left-out content, in order."""
     missing: dict[str, None] = field(default_factory=dict)
-    """Images that are not there."""
+    """Names of images that do not exist."""
     triangles: int = 0
     _looks: dict[Any, Look] = field(default_factory=dict)
     _images: dict[str, Texture | None] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class SurfaceReader:
 
     @property
     def files(self) -> set[str]:
-        """Images that were read."""
+        """Image files that were read."""
         return set(self._images)
 
     # --- polygons -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The prims of a stage sorted into things: which surfaces and colliders belong together, and which move as one body."""
+"""Grouping of the prims of a stage into things: which surfaces and colliders belong together, and which move as one body."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from h3data_worlds.usd.stages import OpenStage, pxr
 from h3data_worlds.usd.surfaces import MAKERS
 
 KEY = "h3data"
-"""Key of our records in ``customData``."""
+"""Key of h3data's records in ``customData``."""
 MAX_PRIMS = 2_000_000
-"""Limit of prims of a stage, those of instances counted each time."""
+"""Largest number of prims of a stage, those of instances counted each time."""
 MAX_COPIES = 200_000
-"""Limit of things in a stage, the copies of point instancers and instances of instances among them."""
+"""Largest number of things in a stage, including the copies of point instancers and instances of instances."""
 _SHOWN = ("default", "render")
 
 
@@ -44,18 +44,18 @@ class Thing:
     world: NDArray[np.float64]
     """Transform from the thing's prim to the world of the stage, shape [4, 4]."""
     body: str
-    """Path of the rigid body that it is or is part of; empty if it is part of none."""
+    """Path of the rigid body of the thing; empty if it is part of none."""
     label: str = ""
     """Semantic label of the thing; empty if it has none."""
     shared: str = ""
-    """Equal for things that are copies of each other; empty if unknown."""
+    """Key that is equal for copies of the same thing; empty if unknown."""
     loose: bool = False
-    """True for a single surface that nothing says is a thing, such as a wall."""
+    """True for a single surface that is not marked as a thing, such as a wall."""
     gprims: list[Gprim] = field(default_factory=list)
 
 
 def records_of(prim: Any) -> Mapping[str, Any]:
-    """Our record at a prim; empty if it has none.
+    """Return h3data's record at a prim; empty if it has none.
 
     Raises:
         FormatError: it is not JSON.
@@ -82,7 +82,7 @@ def matrix_of(value: Any) -> NDArray[np.float64]:
 
 
 def label_of(prim: Any) -> str:
-    """Return the semantic label of a prim itself: of UsdSemantics, or as Isaac wrote it before; empty if it has none."""
+    """Return the semantic label of a prim itself, by UsdSemantics or Isaac's older schema; empty if it has none."""
     labels = pxr("UsdSemantics").LabelsAPI
     for taxonomy in sorted(labels.GetDirectTaxonomies(prim), key=lambda name: name != "class"):
         found = labels(prim, taxonomy).GetLabelsAttr().Get()
@@ -98,7 +98,7 @@ def label_of(prim: Any) -> str:
 
 
 class ThingFinder:
-    """Walks a stage once, from parents to children."""
+    """Walk over a stage, once, from parents to children."""
 
     def __init__(self, opened: OpenStage) -> None:
         self.opened = opened

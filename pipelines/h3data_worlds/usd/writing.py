@@ -1,4 +1,4 @@
-"""A scene as a USD stage: +Y up, metres, one prim per instance, which references the prim of its asset.
+"""Writing of a scene as a USD stage: +Y up, metres, one prim per instance, which references the prim of its asset.
 
 Meshes carry vertex colours and UsdPreviewSurface materials; collision shapes are guide prims with `UsdPhysics.CollisionAPI`;
 doors and drawers are bodies with revolute and prismatic joints; categories are labels of `UsdSemantics`. Data without a place
@@ -43,7 +43,7 @@ from h3data.srgb import bytes_to_linear
 from h3data_worlds.usd.stages import USD_ENDINGS, pxr, quiet
 
 KEY = "h3data"
-"""Key of our records in ``customData``."""
+"""Key of h3data's records in ``customData``."""
 VERSION = 1
 """Version of the records in a stage."""
 ROOT = "/Home"
@@ -53,7 +53,7 @@ _LIGHT_UNIT = 1000.0
 
 
 def write_usd(scene: Scene, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files: textures lie beside it.
+    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files, textures included.
 
     A ``.usdz`` holds its textures; the others have them as PNG in a folder ``<name>_textures``.
 

@@ -1,4 +1,4 @@
-"""Commands for a person who is driven from outside, step by step: by a keyboard, a headset, a learner."""
+"""Commands for a person who is driven from outside, step by step: by a keyboard, a headset, or a policy in training."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from h3data.errors import InputError
 from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Message, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
-"""The head turns this far from the direction of the chest at most."""
+"""Largest turns of the head from the direction of the chest [rad]."""
 LARGEST_NUMBER = 1000.0
-"""Limit above which numbers are refused: they are a fault of the sender, and squared they would overflow."""
+"""Limit above which numbers are refused: they are an error of the sender, and their squares would overflow."""
 
 Vector = tuple[float, ...]
 
@@ -36,7 +36,7 @@ class Pick:
     """Command to take an object."""
 
     object: str | int
-    """Name, or index among the objects of the task."""
+    """Object to pick: its name, or its index among the objects of the task."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Drop:
-    """Command to let go of the held object, which at once lies on whatever is below it."""
+    """Command to let go of the held object, which then lies on the surface below it."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class HandOver:
     """Command to give the held object to a robot whose hand is empty and within reach."""
 
     agent: int
-    """Number of the robot."""
+    """Number of the robot that receives the object."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ class Open:
     """Command to open a door or drawer whose handle is within reach; the hand must be empty."""
 
     joint: str | int
-    """Name (``thing/part``), or index among the joints of the home."""
+    """Door or drawer to open: its name (``thing/part``), or its index among the joints of the home."""
 
 
 @dataclass(frozen=True)
 class Close:
-    """Command that closes a door or a drawer."""
+    """Command to close a door or a drawer."""
 
     joint: str | int
     """Door or drawer to close, as for `Open`."""
@@ -78,7 +78,7 @@ class Close:
 
 @dataclass(frozen=True)
 class Sit:
-    """Walks to the nearest free seat within 3 m and sits down; any other command gets up again."""
+    """Command to walk to the nearest free seat within 3 m and sit down; any other command makes the person get up again."""
 
     lies: bool = False
     """True if the person then lies down, on a bed or sofa that is large enough."""
@@ -99,13 +99,13 @@ class PersonCommand:
     right: HandTarget | None = None
     """Targets of the left and of the right hand; None: the arm swings, or carries what the hand holds."""
     head: tuple[float, float] | None = None
-    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
+    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None: it looks ahead."""
     do: Do | None = None
     """Skill to begin. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 
     @property
     def stands(self) -> bool:
-        """Return whether the command only keeps the person standing: a running skill goes on under it."""
+        """Return whether the command only keeps the person standing, so that a running skill continues."""
         return self == STAND
 
 
@@ -185,7 +185,7 @@ def command_from_json(data: Any) -> Action:
 
 
 def interrupts_skill(action: Action) -> bool:
-    """Return whether a command from outside interrupts a running skill; one to stand still lets it go on."""
+    """Return whether a command from outside interrupts a running skill; one to stand still does not."""
     return not (isinstance(action.command, PersonCommand) and action.command.stands)
 
 

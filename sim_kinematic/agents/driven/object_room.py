@@ -1,4 +1,4 @@
-"""Room for an object that is put down: free space, support, and the place to which it falls."""
+"""Room for putting down an object: free space, support, and the place to which it falls."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ class ObjectRoomSpec:
     """Tolerances within which a thing can be put down."""
 
     sunk_m: float = 0.01
-    """A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
+    """Depth to which a thing may be put into its support [m]: recorded goals float 1 mm above a surface, a hand errs by
+    1 cm."""
     inside_m: float = 0.025
     """Largest depth of a thing in its neighbours [m]: sampled goals stay on the surface that carries them, but
     may overlap its edges (1 of 16 goals in small homes is 2.1 cm in one)."""
     upright: float = 0.7
-    """Vertical part of a contact's normal below which the contact is one from the side."""
+    """Vertical part of a contact's normal below which the contact is from the side."""
     support_m: float = 0.05
     """Largest distance of a thing from the surface below that carries it [m]."""
     apart_m: float = 0.01
@@ -39,7 +40,7 @@ ROOM = ObjectRoomSpec()
 
 
 class ObjectRoom:
-    """The static things of a scene and its other movable ones."""
+    """Static things of a scene and its movable ones, for tests of free room."""
 
     def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
         """Create a room for the objects of a task; ``names`` are theirs, in the order of their poses [K, 7]."""
@@ -56,7 +57,7 @@ class ObjectRoom:
         ]
 
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
-        """Reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
+        """Return the reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
 
         It is ``no_space`` or ``no_support``; empty if the object can be put down.
         """
@@ -116,14 +117,14 @@ class ObjectRoom:
 
 
 def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
-    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    """Return the radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
     # the origin need not be in the middle of the thing
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
 
 
 def grip_radii(scene: Scene, names: Sequence[str]) -> dict[str, float]:
-    """Radii of the grips by which hands hold objects, by name of the instance [m].
+    """Return the radii of the grips by which hands hold objects, by name of the instance [m].
 
     A hand grips books and plates by their thinnest side, so their radius is half of it; for cups and balls it is the
     radius of the object.

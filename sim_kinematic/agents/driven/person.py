@@ -40,7 +40,7 @@ from sim_kinematic.motion.state import HumanState
 
 @dataclass(frozen=True)
 class DrivenPersonSpec:
-    """Limits of a person whom somebody drives."""
+    """Limits of a person who is driven from outside."""
 
     hand_steps: int = 8
     """Number of steps in which an arm moves from its swing to its target, and back."""
@@ -49,13 +49,13 @@ class DrivenPersonSpec:
     head_rad_s: float = 6.0
     """Largest speed at which the head turns [rad/s]."""
     meeting_m: float = 0.12
-    """Distance from the robot's hand at which a giving hand stops, as the object is between them [m]."""
+    """Distance from the robot's hand at which a giving hand stops, with the object in between [m]."""
     draws_in_mps: float = 0.4
-    """Speed at which the robot's hand closes around what it is given."""
+    """Speed at which the robot's hand closes around the object that it is given [m/s]."""
     eyes_m: float = 1.4
     """Height at which a person who is about to sit down looks ahead [m]."""
     seat_within_m: float = 3.0
-    """A person who is told to sit takes the nearest seat within this distance."""
+    """Distance within which the nearest seat is used when a person has to sit down [m]."""
 
 
 DRIVEN = DrivenPersonSpec()
@@ -63,7 +63,7 @@ DRIVEN = DrivenPersonSpec()
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
-    """Person that follows `PersonCommand`s. Until the first command, every skill is that of a `PersonActor`."""
+    """Person that follows `PersonCommand`s. Until the first command, all skills are those of a `PersonActor`."""
 
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""
@@ -99,7 +99,7 @@ class DrivenPerson(PersonActor):
 
     # --- what it can do -----------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now, empty if it is possible; direct control always is."""
+        """Return the reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
         if skill == CONTROL:
             return ""
@@ -176,7 +176,7 @@ class DrivenPerson(PersonActor):
         return self._after_standing(action)
 
     def idle(self) -> None:
-        """Stand still for one step: by the feet of the person who is driven, or as people with skills stand."""
+        """Stand still for one step, by the feet of the driven person, or as people with skills do."""
         if self._stirs:
             self._drive(STAND)
         else:

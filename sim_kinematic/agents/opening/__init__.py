@@ -1,1 +1,1 @@
-"""Doors and drawers in a world: where they stand, what bars them, and how agents open them."""
+"""Doors and drawers in a world: their positions, what blocks them, and how agents open them."""

@@ -1,4 +1,4 @@
-"""Doors on the way: the floor of a home whose doors and drawers move, and which door to open first to get somewhere."""
+"""Closed doors on paths: the floor of a home whose doors and drawers move, and the door to open first to reach a place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.scene.passages import outlines, passable, passages
 from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
-"""Additional distance that agents rather walk than open a door [m]."""
+"""Additional distance that agents prefer to walking through a closed door [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class RoomDoors:
     open_share: ClassVar[float] = 0.95
     """Share of a door's range from which on an open door does not block a path."""
     scene: Scene
-    """Home with the doors as they are at rest."""
+    """Home with the doors at rest."""
     open_scene: Scene
     """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace
@@ -42,7 +42,7 @@ class RoomDoors:
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
-        """Return whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
+        """Return whether some stands ``(x, z, heading)`` [N, 3] are on both sides of a closed door."""
         closed = joints_of(self.scene).rest.copy()
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
@@ -54,7 +54,7 @@ class RoomDoors:
         return bool((side > 0).any()), bool((side < 0).any())
 
     def crossed(self, path: Array, positions: Array, radius_m: float) -> list[int]:
-        """The doors, not open with the joints of the home at ``positions`` [J], by which a path [N, 2] leads, in its order."""
+        """Return doors that a path [N, 2] crosses, in its order, and that are not open with the joints at ``positions`` [J]."""
         shares = joints_of(self.scene).shares(positions)
         if len(path) < 2:
             return []
@@ -69,7 +69,7 @@ class RoomDoors:
         return [k for _, k in sorted(found)]
 
     def any_closed(self, positions: Array) -> bool:
-        """Return whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
+        """Return whether one of the doors is closed with the joints of the home at ``positions`` [J]."""
         return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= self.open_share).any())
 
     def first(

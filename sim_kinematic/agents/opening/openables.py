@@ -1,4 +1,4 @@
-"""Doors and drawers of one world: positions, what lies in them, what stands before them."""
+"""Doors and drawers of one world: positions, contents, and the room in front of them."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class OpeningSpec:
     frames: int = 8
     """Number of positions of a moving part at which collisions are tested."""
     samples: int = 6
-    """Number of points along each edge of a part's boxes, as which it is seen from above."""
+    """Number of points along each edge of a part's boxes that represent its outline from above."""
     shrunk_m: float = 0.008
     """Distance at which parts may pass things beside them [m]."""
     passes_m: float = 0.03
-    """Depth of an agent's disc in a part from which on the agent counts as hit [m]."""
+    """Depth of an agent's disc in a part above which the agent counts as hit [m]."""
     tall_m: float = 1.8
     """Height over the floor above which a part passes over everybody's head [m]."""
 
@@ -51,15 +51,15 @@ OPENING = OpeningSpec()
 
 @dataclass(eq=False)
 class ArticulatedParts:
-    """The joints of a scene, shared by all actors; positions are in ``objects.state``."""
+    """Joints of a scene, shared by all actors; positions are in ``objects.state``."""
 
     scene: Scene
     objects: Objects
     floor_y: float
     company: Company | None = None
-    """The agents in whose way it may stand; None: there is nobody."""
+    """Agents that it may obstruct; None: there are none."""
     doors: frozenset[int] = frozenset()
-    """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
+    """Joints of the doors between rooms: they are opened from both sides, and walls do not obstruct them."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -86,11 +86,11 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Return whether a part is open so far that hands get in."""
+        """Return whether a part is open enough for hands."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:
-        """World points [..., J, 3] of all handles with the joints at ``positions`` [..., J]."""
+        """Return the world points [..., J, 3] of all handles with the joints at ``positions`` [..., J]."""
         motions = self.joints.motions(positions)
         return np.einsum("...jab,jb->...ja", motions[..., :3, :3], self._handles) + motions[..., :3, 3]
 
@@ -194,7 +194,7 @@ class ArticulatedParts:
 
     # --- what is in the way ---------------------------------------------------------------------------------------------
     def points(self, k: int, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points [P, 3] all over what a joint moves, at positions [T] of it, up to `OPENING.tall_m`."""
+        """Return world points [P, 3] on all that a joint moves, at its positions [T], up to `OPENING.tall_m`."""
         positions = np.tile(self.positions, (len(way), 1))
         positions[:, k] = way
         motions = self.joints.motions(positions)

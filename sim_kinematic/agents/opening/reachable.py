@@ -17,16 +17,16 @@ from sim_kinematic.motion.state import WorldState
 
 
 class ReachQuery(NamedTuple):
-    """Place to reach, with the home as it is when hands get there."""
+    """Place to reach, with the doors and drawers as they are at that time."""
 
     scene: Scene
     """Home with the doors and drawers around the place open."""
     point: Array
-    """Position of the place then, shape [3] [m]."""
+    """Position of the place with these doors and drawers open, shape [3] [m]."""
     taken: NDArray[np.float64]
-    """Floor points [P, 2] over which open parts stand."""
+    """Floor points [P, 2] below open parts."""
     opened: tuple[tuple[ArticulatedParts, int], ...] = ()
-    """The parts that had to be opened, in this order: the home before, and the number of the joint."""
+    """Parts that have to be opened, in order: the home before, and the number of the joint."""
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:
@@ -37,7 +37,7 @@ def is_drawer(scene: Scene, instance: Instance) -> bool:
 
 
 def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | None:
-    """World point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
+    """Return a world point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
 
     Returns None if they cannot be opened.
     """

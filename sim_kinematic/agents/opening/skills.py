@@ -37,14 +37,14 @@ def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> s
 
 
 def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
-    """World points [T, 3] of a handle with its joint at positions [T]."""
+    """Return the world points [T, 3] of a handle with its joint at positions [T]."""
     positions = np.tile(openables.positions, (len(way), 1))
     positions[:, k] = way
     return openables.handles(positions)[:, k]
 
 
 def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
-    """Return positions of a joint on the way from its present one to the end of its range that is farther away."""
+    """Return positions of a joint from its present one to the farther end of its range."""
     share = float(openables.joints.shares(openables.positions)[k])
     return openables.travel(k, opens=share < 0.5)
 
@@ -84,7 +84,7 @@ class Leading:
         return self._waited > PATIENCE_STEPS
 
     def advance(self, step: int) -> bool:
-        """Move the part to its place of a step of its way; False: somebody is there, so that it has not moved."""
+        """Move the part by one step; return False if an agent is in its path, so that it has not moved."""
         if self.openables.hits_agent(self.k, self.way[step : step + 1]) >= 0:
             self._waited += 1
             return False

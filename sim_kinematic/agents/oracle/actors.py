@@ -40,14 +40,14 @@ class SubGoal(NamedTuple):
 
 @dataclass(eq=False)
 class SubGoals:
-    """Sub-goals of one agent: paths to where it takes each object and puts it down."""
+    """Sub-goals of one agent: paths to the initial place and the goal of each object."""
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
-    """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
+    """Paths to the initial place of each object; ``to_goal`` has the paths to its goal."""
     to_goal: Sequence[PathTable]
     starts: Array
-    """Starts of the objects [K, 3] [m]."""
+    """Initial positions of the objects [K, 3] [m]."""
     goals: Array
     to_part: Mapping[int, SubGoal]
     """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with what opens as it is at rest."""
@@ -96,7 +96,7 @@ class OracleRobot(RobotActor):
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
@@ -140,7 +140,7 @@ class OracleRobot(RobotActor):
         return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
-        """The object is in the hand, and keeps its direction."""
+        """Take the object into the hand, in which it keeps its direction."""
         hand, pose = self.hand_pose, self.objects.poses[k]
         turn = pose_multiply(pose_inverse(hand), np.append(hand[:3], pose[3:]))
         self.objects.state.grip_pose[0, k] = turn
@@ -161,7 +161,7 @@ class OraclePerson(PersonActor):
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
+        """Return the reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
@@ -279,10 +279,10 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
 
 
 class DiscContacts(GivingWay):
-    """Contact rule of agents that give way to nobody and touch where their discs do."""
+    """Contact rule of agents that give way to nobody and touch if their discs do."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Constant False: with oracle skills no agent gives way to another."""
+        """Return False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

@@ -10,7 +10,7 @@ from sim_kinematic.motion.spec import OracleSpec
 VIA_M = 0.125
 """Distance from a corner of its path at which a robot continues to the next one [m]."""
 AIMED_RAD = 1e-3
-"""A person faces a point within this angle."""
+"""Angle within which a person faces a point [rad]."""
 
 
 def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:

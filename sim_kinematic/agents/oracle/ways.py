@@ -1,4 +1,4 @@
-"""Shortest paths to fixed places as tables: where to go first from each cell of the floor, and from each corner of the paths.
+"""Shortest paths to fixed places as tables: the first point from each cell of the floor, and from each corner of the paths.
 
 A path from anywhere is then a few look-ups, which a GPU does as well as a CPU: to the corner that the cell names, from corner
 to corner, to the nearest place. All of it is exact but for the first leg, which is chosen for the middle of a cell
@@ -20,7 +20,7 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 
 CELL_M = 0.2
-"""Side of a cell. With 0.1 m paths are no shorter by 0.1%, the tables four times as large."""
+"""Side of a cell [m]. With 0.1 m paths are no more than 0.1% shorter, and the tables four times as large."""
 NONE = -1
 SKIP_M, DETOUR_M, SPREAD = 0.25, 0.05, 4
 """Corners of a path that are nearer than `SKIP_M` to the one before are passed over: an inflated corner is an arc of many
@@ -32,18 +32,18 @@ free one up to `SPREAD` cells away."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FloorCells:
-    """Cells of a floor, and the corners of paths that are seen from all of a cell."""
+    """Cells of a floor, and the corners of paths that are visible from the whole cell."""
 
     origin: Array
     """Lower corner of the first cell (x, z), [2] [m]."""
     shape: tuple[int, int]
-    """Cells along x and z."""
+    """Number of cells along x and z."""
     middles: Array
     """Free point of each cell, its middle where that is free, [C, 2]; NaN where no point is free."""
     samples: Array
     """Middle of each cell and points on its border, [C, 9, 2]; NaN where they are not free."""
     start: NDArray[np.int64]
-    """Corners of cell c are ``corners[start[c]:start[c + 1]]``, [C + 1]."""
+    """First corner of each cell, [C + 1]: cell c has ``corners[start[c]:start[c + 1]]``."""
     corners: NDArray[np.int32]
     away: Array
     """Distance from the middle of the cell to each corner [m]."""
@@ -54,7 +54,7 @@ class FloorCells:
     @classmethod
     @lru_cache(maxsize=64)
     def of(cls, free: FreeSpace) -> FloorCells:
-        """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
+        """Return the cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
         # one cell more, as the first begins half a cell before the border
         shape = int(np.ceil((x1 - x0) / CELL_M)) + 1, int(np.ceil((z1 - z0) / CELL_M)) + 1
@@ -91,15 +91,15 @@ class PathTable:
     origin: Array
     shape: tuple[int, int]
     first: NDArray[np.int16]
-    """Number of the point to go to first from each cell, [C]; -1: there is no path."""
+    """Number of the first point of the path from each cell, [C]; -1: there is no path."""
     after: NDArray[np.int16]
-    """Number of the point to go to from each corner, [n]; -1: there is no path."""
+    """Number of the next point of the path from each corner, [n]; -1: there is no path."""
     left: Array
     """Length of the path from each point, [n + S] [m]; inf: there is none."""
 
     @property
     def ends(self) -> Array:
-        """Places that paths may end at, [S, 2]."""
+        """Places at the ends of paths, [S, 2]."""
         return self.points[self.corners :]
 
     def cell(self, xz: ArrayLike) -> NDArray[np.int64]:

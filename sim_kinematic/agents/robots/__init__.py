@@ -1,1 +1,1 @@
-"""A robot with an arm: how its base drives, what its arm reaches, and its skills."""
+"""A robot with an arm: driving of its base, reaching of its arm, and its skills."""

@@ -1,4 +1,4 @@
-"""Paths of a robot's arm: checks that its hand gets from a stand to a point without a wall or furniture between them.
+"""Room for a robot's arm: tests whether its hand gets from a stand to a point without walls or furniture in between.
 
 Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
 point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
@@ -33,13 +33,13 @@ class ArmClearanceSpec:
     line_radius_m: float = 0.01
     """Radius of the line along which the hand approaches [m]."""
     frames: int = 8
-    """Postures that are looked at between the resting one and the one over the point."""
+    """Number of postures that are checked between the resting one and the one over the point."""
     held_m: float = 0.05
     """Radius of the ball that represents the object in the hand [m]."""
     ways_kept: int = 1000
-    """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
+    """Number of cached paths of a robot's arm, 12 kB each; a home has about 450."""
     answers_kept: int = 10_000
-    """Answers that are remembered, 300 bytes each."""
+    """Number of cached answers, 300 bytes each."""
 
 
 CLEARANCE = ArmClearanceSpec()
@@ -82,7 +82,7 @@ class ArmClearance:
         self._clear: dict[tuple[bytes, bytes], bool] = {}
 
     def is_open(self, stand: Array, point: Array) -> bool:
-        """Returns whether no obstacle lies between a robot's shoulder and a world point [3].
+        """Return whether no obstacle lies between a robot's shoulder and a world point [3].
 
         The robot stands at ``(x, z, heading)`` [3]. The line checked goes up or down to `CLEARANCE.approach_m` above the point,
         then level to it.
@@ -112,7 +112,7 @@ class ArmClearance:
         return supports(self._scenery, point) & self._drawers if self._drawers else set()
 
     def is_clear(self, stand: Array, point: Array) -> bool:
-        """Returns whether the line to the point is open, and the arm touches nothing while the robot reaches for it.
+        """Return whether the line to the point is open, and the arm touches nothing while the robot reaches for it.
 
         The arm moves from its resting posture to the point; the hand, with what it may hold, to the point above it.
         """
@@ -191,12 +191,12 @@ def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | 
 
 @lru_cache(maxsize=8)
 def arm_clearance(scene: Scene, robot: Robot, floor_y: float) -> ArmClearance:
-    """Made once for each scene and robot."""
+    """Return the clearance of a robot's arm in a scene, built once for each scene and robot."""
     return ArmClearance(scene, robot, floor_y)
 
 
 def arm_links(robot: Robot) -> list[int]:
-    """The links that an arm joint moves, and what hangs on them."""
+    """Return the links that an arm joint moves, and those attached to them."""
     moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
     links: list[int] = []
     # links come parents first, so one pass finds all that hang on the arm

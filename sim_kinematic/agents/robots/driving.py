@@ -1,4 +1,4 @@
-"""Driving of a robot with an arm: around agents, out of narrow places, with what it holds."""
+"""Driving of a robot with an arm: around agents, out of narrow places, with a held object."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ from sim_kinematic.motion.state import ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
 STUCK_STEPS = 60
-"""Steps without getting nearer to its destination after which a base gives up."""
+"""Number of steps without getting nearer to its destination after which a base gives up."""
 ARRIVED_M = 0.04
-"""A base is at its destination within this distance."""
+"""Distance within which a base is at its destination [m]."""
 NEARLY_M = 0.15
-"""A base that has stalled is content with this distance."""
+"""Distance within which a stalled base is at its destination [m]."""
 FACING_RAD = 0.04
-"""A base faces a point within this angle."""
+"""Angle within which a base faces a point [rad]."""
 
 
 @dataclass(eq=False)
 class RobotDriver:
-    """Base class of actors of robots with an arm: how the robot drives. It moves ``objects.state``."""
+    """Base class of actors of robots with an arm, for driving. It changes ``objects.state``."""
 
     robot: Robot
     free: FreeSpace
@@ -64,7 +64,7 @@ class RobotDriver:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
-    """Agents that it gives way to, itself included; None: it is alone."""
+    """Agents to which the robot gives way, itself included; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -110,7 +110,7 @@ class RobotDriver:
 
     @property
     def agreed(self) -> bool:
-        """Returns whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+        """Return whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:
@@ -129,7 +129,7 @@ class RobotDriver:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Returns the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
+        """Return the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
         if callable(self._path):
             self._path = self._path()
         return self._path
@@ -166,7 +166,7 @@ class RobotDriver:
 
     @property
     def hand_pose(self) -> Array:
-        """World pose7 of the point at which the hand holds things."""
+        """Pose (pose7) in the world of the point at which the hand holds things."""
         frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
         out = pose_from_matrix(frame)
         out[:3] += frame[:3, :3] @ self.robot.hand_position
@@ -182,7 +182,7 @@ class RobotDriver:
         self.free = free
 
     def idle(self) -> None:
-        """Stands still for one step."""
+        """Stand still for one step."""
         self._step(0.0, 0.0)
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
@@ -239,7 +239,7 @@ class RobotDriver:
         self._step(forward, self._turn(error), towards)
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
-        """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
+        """Drive to within a distance of a floor point [2] and turn there until the hand points at ``facing`` [2].
 
         The base gives way, backs out of narrow places and goes around whoever stands in its path; it fails, ``stuck``, after
         `STUCK_STEPS` without getting on, or, ``blocked``, where it is turned away.

@@ -39,12 +39,11 @@ from sim_kinematic.motion.step import drive_robots
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
-"""A base does not drive while the hand is farther from its middle than the hand of the folded arm by more than this
-[m]."""
+"""Distance beyond that of the folded arm's hand from the base's middle above which a base does not drive [m]."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
-    """Returns a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
+    """Return a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
 
     Raises:
         InputError: It has another length or is not finite, or the robot has no arm.
@@ -70,7 +69,7 @@ class RobotActor(RobotDriver):
     """Learned skills that replace the robot's own, by name."""
 
     def infeasible(self, action: Action) -> str:
-        """Reason why an action is impossible now; empty if it is possible."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         why = self.objects.why_not(self.number, action)
         if not why and self.openables is not None:
             why = self._barred(self.openables, action)
@@ -98,7 +97,7 @@ class RobotActor(RobotDriver):
         return ""
 
     def start(self, action: Action) -> Skill:
-        """Begins a scripted or learned skill."""
+        """Begin a scripted or learned skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -139,7 +138,7 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def obey(self, command: Array, towards: NDArray) -> None:
-        """Moves one step by the command of a learned skill.
+        """Move one step by the command of a learned skill.
 
         Args:
             command: base velocity [2] alone, or followed by arm joints [n] and grip [1], in -1..1. The base gives way to other
@@ -159,7 +158,7 @@ class RobotActor(RobotDriver):
             grip_objects(self.objects.state, hand, np.asarray(command[-1:], np.float64), rules, agent=self.number)
 
     def step_aside(self) -> None:
-        """Goes one step out of another agent's way."""
+        """Drive one step out of another agent's path."""
         self._step_aside()
 
     def open_stand(self, point: NDArray) -> Array | None:
@@ -174,7 +173,7 @@ class RobotActor(RobotDriver):
 
     @property
     def resting_point(self) -> Array:
-        """Returns the place of the hand at rest, in the world [3]."""
+        """Return the place of the hand at rest, in the world [3]."""
         at = self._hand_in_root(self.robot.rest)
         return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 
@@ -209,7 +208,7 @@ class RobotActor(RobotDriver):
         return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
-        """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
         free, base = free or self.free, base or self.base
         known = free, base, island_of(free, self.xz), point.tobytes()
         if known not in self._stands:
@@ -217,7 +216,7 @@ class RobotActor(RobotDriver):
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Stands on the floor ``free``."""
+        """Return stands on the floor ``free``."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:

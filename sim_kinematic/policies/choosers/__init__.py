@@ -1,1 +1,1 @@
-"""Learned policies of the upper layer of rearrangement that remember."""
+"""Learned policies with memory of the upper layer of rearrangement."""

@@ -38,7 +38,8 @@ from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 
 KIND = "gru_chooser"
 SKILLS_WITH_OBJECT = 4
-"""``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
+"""Skills with an object, the first of `sim_kinematic.agents.skills.choices`: ``nav_to_object``, ``nav_to_goal``,
+``pick`` and ``place``."""
 OBSERVATIONS = (
     "obj_gps_compass",
     "obj_goal_gps_compass",
@@ -62,7 +63,7 @@ OBSERVATIONS = (
 )
 """Observations of a chooser, in this order (`sim_kinematic.sensing.table.SENSES`)."""
 OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
-"""Observations that tell where the other agent is."""
+"""Observations that contain the position of the other agent."""
 PIXELS = (
     "arm_depth",
     DETECTOR,
@@ -82,7 +83,7 @@ Habitat's configuration, at the places that the task gave them), and the result 
 from each start and goal follows from what the paper's robot observes. The chooser does not observe what the person does or
 holds, where objects are now, which of them are at their goals, or any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
-"""Observations without which no chooser works."""
+"""Observations that every chooser needs."""
 
 
 def rest_count(agent: str) -> int:
@@ -169,12 +170,12 @@ class SkillPolicyNetwork(CardedNetwork):
 
     @property
     def outputs(self) -> int:
-        """Number of choices."""
+        """Number of choices of the network."""
         return SKILLS_WITH_OBJECT * self.card.objects + rest_count(self.card.agent)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines its behaviour."""
+        """SHA-256 of everything that determines the network's behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
         if self.sees:
@@ -185,7 +186,7 @@ class SkillPolicyNetwork(CardedNetwork):
 
     @cached_property
     def offered(self) -> NDArray[np.bool_]:
-        """Return which choices the policy has at all, [C]."""
+        """Return which choices are available to the policy in general, [C]."""
         found = np.ones(self.outputs, np.bool_)
         if not self.card.primitives:
             found[SKILLS_WITH_OBJECT * self.card.objects + 1 :] = False  # after ``wait``

@@ -1,4 +1,4 @@
-"""Policy that plays a `SkillPolicyNetwork`: which actions are allowed, when it chooses again, and which one it samples."""
+"""Policy that plays a `SkillPolicyNetwork`: allowed actions, times of choices, and sampling."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.policies.visual_policy import PolicyCard
 
 ALERT_M, ALERT_STEPS = 4.0, 5
-"""Distance of the other agent below which a policy chooses again during a walk, and the number of steps after which it does. At
-2.5 m/s each, two agents that are 4 m apart meet after 0.8 s."""
+"""Distance of the other agent below which a policy chooses again during a walk [m], and the number of steps between
+these choices. At 2.5 m/s each, two agents that are 4 m apart meet after 0.8 s."""
 
 
 class RecurrentSkillPolicy:

@@ -1,1 +1,1 @@
-"""Policies of the people of crowds, who are moved together."""
+"""Policies of the people of crowds, who move together."""

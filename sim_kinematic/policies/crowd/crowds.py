@@ -36,7 +36,7 @@ class CrowdMember:
     seed: int
     """Seed of the episode."""
     version: int = VERSION
-    """Version of the rules by which the crowd decides."""
+    """Version of the rules of the crowd."""
     hands: HandWork | None = None
     """Work of the person's hands; None: they handle nothing."""
 
@@ -45,19 +45,19 @@ class Moment(NamedTuple):
     """Places of all agents of W worlds."""
 
     xz: Array
-    """Positions now [W, A, 2] [m]."""
+    """Present positions [W, A, 2] [m]."""
     heading: Array
-    """Headings now [W, A] [rad]."""
+    """Present headings [W, A] [rad]."""
     was_xz: Array
     """Positions one step ago [W, A, 2] [m]."""
     was_heading: Array
     """Headings one step ago [W, A] [rad]."""
     places: Array
-    """Places of all people, then of the discs of all robots, now [W, P + D, 2] [m]."""
+    """Present places of all people, then of the discs of all robots [W, P + D, 2] [m]."""
     before: Array
-    """The same one step ago."""
+    """Places of all people and discs one step ago [W, P + D, 2] [m]."""
     radii: Array
-    """Radii of these discs, and of people who follow another policy than that of a crowd [P + D] [m]."""
+    """Radii of these discs, and of people with other policies than those of crowds [P + D] [m]."""
     robots: Array
     """Places and headings of robots (x, z, heading) [W, R, 3]."""
 

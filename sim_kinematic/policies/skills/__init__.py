@@ -1,1 +1,1 @@
-"""Learned skills of robots: what they are shown, how they are played, what their names mean."""
+"""Learned skills of robots: their observations, their execution, and their names."""

@@ -1,4 +1,4 @@
-"""Names of learned skills and their meaning: files of weights, folders of them, and those that come with the package."""
+"""Names of learned skills and their meaning: files of weights, folders of them, and those included in the package."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
-"""Name of the three skills that come with the package."""
+"""Name of the three skills that are included in the package."""
 SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
@@ -67,7 +67,7 @@ def _shipped_digest() -> str:
 
 
 def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
-    """Return the learned skills that names mean, by the skills of the upper layer that they stand for.
+    """Return the learned skills of some names, by the skills of the upper layer.
 
     Raises:
         InputError: As `recorded_skills`.

@@ -38,7 +38,7 @@ class SkillView(NamedTuple):
     holds: bool
     """True if the hand holds something."""
     beyond_m: float
-    """Distance within which way points are skipped [m]."""
+    """Distance within which waypoints are skipped [m]."""
 
     @property
     def path_m(self) -> float:
@@ -60,7 +60,7 @@ class SkillContext:
         self.held_by = np.array([ROBOT if view.holds else NOBODY])
 
     def path(self) -> tuple[Array, Array]:
-        """Return the shortest path to the stand: its length [] [m] and its first way point [2] [m]."""
+        """Return the shortest path to the stand: its length [] [m] and its first waypoint [2] [m]."""
         view, length = self._view, self._view.path_m
         return np.asarray(length), first_point(view.free, view.xz, view.stand_xz, length, beyond_m=view.beyond_m)
 

@@ -1,4 +1,4 @@
-"""Play of a learned skill: a network moves a robot's base, arm and hand until the skill succeeds or fails."""
+"""Execution of a learned skill: a network moves a robot's base, arm and hand until the skill succeeds or fails."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
 from sim_kinematic.sensing.table import OF_SKILLS
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
-"""The skills of the upper layer that a policy file stands for, by the task on its card."""
+"""Skills of the upper layer that a policy file provides, by the task on its card."""
 PICTURE = "arm_depth"
 
 
@@ -63,7 +63,7 @@ class NetworkSkill:
 
     @property
     def skills(self) -> tuple[str, ...]:
-        """Skills of the upper layer that the network is used for."""
+        """Names of the skills of the upper layer that use the network."""
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:

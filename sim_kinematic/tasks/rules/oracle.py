@@ -1,4 +1,4 @@
-"""The oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find them."""
+"""Oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find them."""
 
 from __future__ import annotations
 

@@ -47,9 +47,9 @@ class Encounter(NamedTuple):
     collisions: ArrayLike = 0
     """Collisions of the robot with anything since the start, shape [W] (``habitat`` only)."""
     faces: ArrayLike | None = None
-    """`facing` of the robot towards the person, shape [W], where it is known; None: it is computed."""
+    """Value of `facing` of the robot towards the person, shape [W], if it is known; None: it is computed."""
     goal_xz: ArrayLike | None = None
-    """The task's navigation goal, shape [W, 2] [m]; only where ``habitat`` is configured to measure to it."""
+    """Position of the task's navigation goal, shape [W, 2] [m]; only if ``habitat`` is configured to measure to it."""
 
     def of(self, where: NDArray[np.bool_]) -> Encounter:
         """Return some of the worlds; values that hold for all worlds stay as they are."""

@@ -47,7 +47,7 @@ class SocialNavState:
     """Memory of the rules for W worlds, [W] each."""
 
     rewards: SocialNavReward | None
-    """Rewards; None where they are not computed."""
+    """Rewards of the step; None if they are not computed."""
     geodesic: Array
     """Shortest path from robot to person [m], inf where there is none."""
     collides: NDArray[np.bool_]
@@ -242,7 +242,7 @@ class SocialNav(Task):
         return [(0, event) for event in events]
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Distance, success, steps followed and contacts of each world, [W] each."""
+        """Return the distance, success, steps followed and contacts of each world, [W] each."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
         return {

@@ -1,4 +1,4 @@
-"""Rearrangement: a person, or somebody who steers the robot, brings things to their places."""
+"""Rearrangement: a person, or a player who steers the robot, brings things to their places."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from sim_kinematic.tasks.task import Task
 
 
 class RearrangeApp(App):
-    """App in which all objects are brought to their goals, together with the other agents."""
+    """App in which players and other agents bring all objects to their goals."""
 
     task: ClassVar[str | type[Task]] = Rearrange
     # as in the paper's study: contact is counted, it does not end the episode
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
 
     def hud(self, number: int) -> Hud:
-        """Instruction, time left, and the number of things at their goals."""
+        """Return the instruction, the time left, and the number of things at their goals."""
         done = int(self.session.play.team.at_goal.sum())  # type: ignore[attr-defined]
         words = str(self.session.recorder.header.episode.info["instruction"])
         lines = (f"{done} of {len(self.goals())} things are where they belong.",)
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=lines)
 
     def label(self, name: str) -> str:
-        """Name of an object in words."""
+        """Return the name of an object in words."""
         return spoken(name) or "thing"

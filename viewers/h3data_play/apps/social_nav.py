@@ -17,7 +17,7 @@ class FollowMeApp(App):
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}
 
     def hud(self, number: int) -> Hud:
-        """Task of the player, time left, and whether the robot has found the person."""
+        """Return the task of the player, the time left, and whether the robot has found the person."""
         session = self.session
         state, spec = session.play.memory, session.episode.spec  # type: ignore[attr-defined]
         metres = float(state.geodesic[0])

@@ -1,4 +1,4 @@
-"""Tele-operation: somebody drives the robot, takes things with its arm and brings them to their places."""
+"""Tele-operation: a player drives the robot, takes things with its arm and brings them to their places."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ class TeleopApp(RearrangeApp):
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
-        """Starts a session with all counts at 0."""
+        """Start a session with all counts at 0."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.bumps = self.touches = 0
         self._was = {"metrics.robot_contact": False, "metrics.collision": False}
 
     def driver(self, number: int) -> Driver:
-        """Driver of an agent, which the text about its hand needs later."""
+        """Return the driver of an agent, which the text about its hand needs later."""
         driver = self.drivers[number] = super().driver(number)
         return driver
 
     def step(self, result: StepResult) -> str:
-        """Counts new contacts of the robot with the home and with people."""
+        """Count new contacts of the robot with the home and with people."""
         columns = self.session.recorder.latest_columns()
         self.bumps += self._begins("metrics.robot_contact", columns)
         self.touches += self._begins("metrics.collision", columns)
         return super().step(result)
 
     def hud(self, number: int) -> Hud:
-        """Lines of rearrangement, the state of the hand, and the counts of contacts."""
+        """Return the lines of rearrangement, the state of the hand, and the counts of contacts."""
         hud = super().hud(number)
         counts = f"Bumps into the home: {self.bumps}."
         if any(member.kind == "human" for member in self.session.episode.roster):

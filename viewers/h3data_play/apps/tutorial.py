@@ -1,4 +1,4 @@
-"""The tutorial: walk to a mark, look at a thing, take it, bring it to its place. Nobody else is at home."""
+"""Tutorial: walk to a mark, look at a thing, take it, bring it to its place. Nobody else is at home."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SNAP_M = 5.0
 AT_MARK_M = 0.5
 LOOKS_RAD = 0.35
 LOOK_STEPS = 15
-"""Number of steps for which the thing has to be looked at: a player who happens to face it would never see the step."""
+"""Number of steps for which a player has to look at the thing: one who happens to face it would never see the step."""
 WALK, LOOK, TAKE, PUT = range(4)
 HOW: Mapping[int, Mapping[str, str]] = {
     WALK: {
@@ -45,13 +45,13 @@ HOW: Mapping[int, Mapping[str, str]] = {
 
 
 class TutorialApp(RearrangeApp):
-    """Passed, with the end ``success``, when all steps are done."""
+    """App of the tutorial, which is passed, with the end ``success``, when all steps are done."""
 
     rules: ClassVar[Mapping[str, Any]] = {**RearrangeApp.rules, "objects": 1, "max_steps": 18_000}
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
-        """Starts a session in which no player has done a step of the tutorial."""
+        """Start a session in which no player has done a step of the tutorial."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.marks: dict[int, Array] = {}
@@ -65,7 +65,7 @@ class TutorialApp(RearrangeApp):
         return driver
 
     def refusal(self, number: int, message: Act) -> str:
-        """Request to do the earlier steps first, for a player who takes or places something too early."""
+        """Return the request to do earlier steps first, for a player who takes or places something too early."""
         step = self.step_of(number)
         if step < TAKE and isinstance(message, Pick | Place | Drop | Give):
             first = (
@@ -75,7 +75,7 @@ class TutorialApp(RearrangeApp):
         return ""
 
     def step(self, result: StepResult) -> str:
-        """Notes which players have reached their mark or look at the object."""
+        """Note which players have reached their mark or look at the object."""
         for number, driver in self.drivers.items():
             xz, heading = driver.place
             step = self.step_of(number)
@@ -87,7 +87,7 @@ class TutorialApp(RearrangeApp):
         return super().step(result)
 
     def hud(self, number: int) -> Hud:
-        """Present step of the tutorial, and all steps as a list."""
+        """Return the present step of the tutorial, and all steps as a list."""
         current = self.step_of(number)
         thing, goal, go = self.thing, self.goals()[0].label, self._go(number)
         short = f"{go} to the white ring", f"Look at the {thing}", f"Take the {thing}", f"Put it on the {goal}"
@@ -106,13 +106,13 @@ class TutorialApp(RearrangeApp):
         return Hud(task=tasks[step], left_s=None, lines=tuple(lines), how=HOW.get(step, {}), marker=mark)
 
     def over(self, number: int) -> str:
-        """Text at the end: praise if the tutorial is passed."""
+        """Return the text at the end: praise if the tutorial is passed."""
         if self.session.ended == "success":
             return "You have done all steps: you can walk, look, take things and put them where they belong."
         return super().over(number)
 
     def step_of(self, number: int) -> int:
-        """The step that the player of an agent is at; `PUT` + 1: all are done. A spectator sees the first player's."""
+        """Return the step that an agent's player is at; `PUT` + 1: all are done. A spectator sees the first player's."""
         number = number if number in self.drivers else next(iter(self.drivers), number)
         if not self.walked.get(number):
             return WALK
@@ -125,7 +125,7 @@ class TutorialApp(RearrangeApp):
 
     @property
     def thing(self) -> str:
-        """The word for the object."""
+        """Word for the object."""
         return self.label(self.session.episode.targets[0].name)  # type: ignore[attr-defined]
 
     def _go(self, number: int) -> str:

@@ -1,4 +1,4 @@
-"""``h3data play``: people play in a browser, live, and what they do is recorded."""
+"""Command ``h3data play``: people play live in a browser, and their actions are recorded."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Play:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Serves the session until it is over, and returns the recordings."""
+        """Serve the session until it is over, and return the recordings."""
         self._check()
         out = self.out or DEFAULT_OUT / time.strftime("%Y%m%d-%H%M%S")
         goes_on = self._claim(out)

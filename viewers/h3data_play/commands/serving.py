@@ -1,4 +1,4 @@
-"""The server of live play as a process of its own: its options on the command line, how it is started and heard."""
+"""Server of live play as a process of its own: its options on the command line, its start and its messages."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def serving_options(
     behind_proxy: bool,
     allow_hosts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Options of the server process, checked.
+    """Return the options of the server process, checked.
 
     Raises:
         InputError: they are impossible, or aiohttp is missing.
@@ -79,7 +79,7 @@ def serving_options(
 
 
 def require_aiohttp(what: str) -> None:
-    """Checks that the package aiohttp is installed.
+    """Check that the package aiohttp is installed.
 
     Raises:
         InputError: it is missing.
@@ -89,7 +89,7 @@ def require_aiohttp(what: str) -> None:
 
 
 def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
-    """Runs a server, the process ``python -m module``, until it ends; ``heard`` gets its reports.
+    """Run a server, the process ``python -m module``, until it ends; ``heard`` gets its reports.
 
     Raises:
         H3DataError: it ended with a fault.
@@ -118,7 +118,7 @@ def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, 
 
 @contextmanager
 def started_server(module: str, options: dict[str, Any]) -> Iterator[tuple[list[list[str]], Iterator[dict[str, Any]]]]:
-    """A server that listens, as links of its seats and what it will report; it is stopped at the end.
+    """Start a server for a block; it yields the links of its seats and an iterator of its reports.
 
     Raises:
         InputError: it refuses what it should serve.
@@ -163,7 +163,7 @@ def _start(module: str, options: dict[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def say_disk(disk: dict[str, Any], folder: Path) -> None:
-    """Says that the disk of a session's folder is full, or that there is space again."""
+    """Say that the disk of a session's folder is full, or that there is space again."""
     if disk["is_full"]:
         say(
             f"Nothing more can be written to {folder} ({disk['why']}). Who plays is told to wait, and nothing that was "

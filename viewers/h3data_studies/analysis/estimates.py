@@ -40,10 +40,12 @@ class StudyModel:
     """Model of a study: the choices of its analysis."""
 
     steps: StepsModel = "auto"
-    """``poisson``: the paper's model. ``observation``: with a random intercept per episode, for counts that vary more than
-    Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model is never shown alone."""
+    """Model of the steps. ``poisson``: the paper's. ``observation``: with a random intercept per episode, for counts
+    that vary more than Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model never
+    appears alone."""
     failed: FailedEpisodes = "leave-out"
-    """Episodes without success have no steps to success and are left out, or count the longest duration E (``limit``)."""
+    """Treatment of episodes without success: left out, as they have no steps to success, or counted as the longest
+    duration E (``limit``)."""
     random: tuple[str, ...] = GROUPS
     """Random intercepts; those with one level are left out."""
 
@@ -68,7 +70,7 @@ class Estimate:
     """Lower end of the 95% interval; NaN if there is none."""
     high: float = NAN
     episodes: int = 0
-    """Episodes in which the metric is defined."""
+    """Number of episodes in which the metric is defined."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +78,7 @@ class FittedMeans:
     """Model of the compared metric, with its means and their pairwise differences."""
 
     label: str
-    """``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
+    """Name of the model: ``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
     fit: GlmmFit
     means: MarginalMeans
     differences: tuple[Contrast, ...]
@@ -88,7 +90,7 @@ class StudyAnalysis:
     """Estimated means by condition, and contrasts of one metric."""
 
     conditions: tuple[str, ...]
-    """People alone first."""
+    """Names of the conditions, people alone first."""
     participants: int
     episodes: Mapping[str, int]
     """Number of episodes by condition."""
@@ -98,11 +100,11 @@ class StudyAnalysis:
     compared: str
     """Name of the metric whose means are contrasted; empty if none could be."""
     models: tuple[FittedMeans, ...]
-    """Models of the compared metric: the one of the table first, then the one to hold it against, if either is unsound."""
+    """Models of the compared metric: the one of the table first, then one for comparison if either is unsound."""
     notes: tuple[str, ...]
 
     def to_text(self) -> str:
-        """Tables of means and contrasts, followed by the notes."""
+        """Return tables of means and contrasts, followed by the notes."""
         lines = [["condition", *(m.name for m in self.metrics), "episodes"]]
         for condition in self.conditions:
             cells = [_shown(m, self.estimates[m.name].get(condition, Estimate())) for m in self.metrics]
@@ -118,7 +120,7 @@ class StudyAnalysis:
         return "\n\n".join([*blocks, "\n".join(["Notes", *(f"  {note}" for note in self.notes)])])
 
     def to_dict(self) -> dict[str, object]:
-        """The analysis as JSON types; NaN becomes None."""
+        """Return the analysis as JSON types; NaN becomes None."""
         return {
             "participants": self.participants,
             "episodes": dict(self.episodes),
@@ -150,7 +152,7 @@ class StudyAnalysis:
 
 
 def study_layout(profile: Profile) -> StudyLayout:
-    """Returns how a profile's metrics are analysed: as it declares, else all of them, contrasting its steps, if it has any."""
+    """Return how a profile's metrics are analysed: as it declares, else all of them, contrasting its steps, if any."""
     if profile.report.study is not None:
         return profile.report.study
     names = profile.report.columns or tuple(m.name for m in profile.metrics)
@@ -161,7 +163,7 @@ def study_layout(profile: Profile) -> StudyLayout:
 def analyse_study(
     episodes: Sequence[EpisodeMetrics], profile: Profile, model: StudyModel | None = None
 ) -> StudyAnalysis:
-    """Analyses the episodes of participants under conditions.
+    """Analyse the episodes of participants under conditions.
 
     Args:
         episodes: Metrics with participant and condition; others are left out.
@@ -331,7 +333,7 @@ class _Analyser:
 
 
 def without_hint(note: str) -> str:
-    """A note of a fit without its hint to Python's users."""
+    """Return a note of a fit without its hint to users of Python."""
     return note.partition(" Hint:")[0]
 
 

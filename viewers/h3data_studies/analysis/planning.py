@@ -22,7 +22,7 @@ class Block:
     condition: str
     scene: str
     episodes: tuple[str, ...]
-    """Episode ids, in order."""
+    """Ids of the episodes, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Session:
 
 
 def latin_square(conditions: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Returns orders of ``conditions`` balanced for position and for the preceding condition: N orders, or 2 N if N is odd.
+    """Return orders of ``conditions`` balanced for position and for the preceding condition: N orders, or 2 N if N is odd.
 
     Each condition is equally often at each position, and follows each other condition equally often (J. V. Bradley 1958,
     "Complete Counterbalancing of Immediate Sequential Effects in a Latin Square Design").
@@ -64,7 +64,7 @@ def plan_sessions(
     study: str = "study",
     seed: int = 0,
 ) -> tuple[Session, ...]:
-    """Returns one session per participant: every condition once, each in one scene, no episode twice for the same person.
+    """Return one session per participant: every condition once, each in one scene, no episode twice for the same person.
 
     Orders come from `latin_square` in turn, so they balance whenever the number of participants is a multiple of theirs.
     Scenes rotate over participants and conditions: participant and scene are crossed, not nested. The assignment of orders
@@ -123,7 +123,7 @@ def plan_sessions(
 
 
 def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
-    """Columns with a row per planned episode: participant, condition, scene, episode, block and trial (both from 1)."""
+    """Return columns with a row per planned episode: participant, condition, scene, episode, block and trial (both from 1)."""
     rows = [
         (s.participant, b.condition, b.scene, e, k + 1, sum(len(x.episodes) for x in s.blocks[:k]) + j + 1)
         for s in sessions
@@ -135,7 +135,7 @@ def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
 
 
 def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) -> list[Path]:
-    """Writes a manifest ``<participant>.json`` per session, in a folder that is created, and returns the paths."""
+    """Write a manifest ``<participant>.json`` per session, in a folder that is created, and return the paths."""
     import msgspec
 
     paths = [Path(folder) / f"{s.participant}.json" for s in sessions]
@@ -153,7 +153,7 @@ def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) 
 
 
 def read_session(path: str | os.PathLike[str]) -> Session:
-    """Reads the session manifest at ``path``."""
+    """Read the session manifest at ``path``."""
     import msgspec
 
     try:

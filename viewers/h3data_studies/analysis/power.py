@@ -25,11 +25,11 @@ class Power:
     second: str
     power: float
     low: float
-    """Lower end of the Wilson interval: simulation error only."""
+    """Lower end of the Wilson interval, which covers simulation error only."""
     high: float
     runs: int
     failed: int
-    """Number of runs without a converged fit, as after separation; counted as finding nothing."""
+    """Number of runs without a converged fit, as after separation; they count as runs without an effect."""
 
 
 def simulate_study(
@@ -40,7 +40,7 @@ def simulate_study(
     deviations: Mapping[Literal["participant", "scene", "observation"], float],
     seed: int = 0,
 ) -> dict[str, NDArray[Any]]:
-    """Returns the columns of `study_rows` and a ``response`` sampled from the mixed model.
+    """Return the columns of `study_rows` and a ``response`` sampled from the mixed model.
 
     Args:
         sessions: From `plan_sessions`.
@@ -93,7 +93,7 @@ def simulate_power(
     adjust: Adjustment = "tukey",
     seed: int = 0,
 ) -> tuple[Power, ...]:
-    """Returns the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
+    """Return the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
 
     Poisson models get the observation-level effect if the simulation has one. Takes 0.1 to 0.3 s per run.
     """

@@ -1,4 +1,4 @@
-"""The study with people: estimated means of a mixed model and their pairwise contrasts, the paper's beside them."""
+"""Tables of a study with people: estimated means of a mixed model and their pairwise contrasts, beside the paper's."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from h3data_viewers.html_report.tables import (
 def study_tables(
     runs: Sequence[Run], *, steps: StepsModel = "auto", failed: FailedEpisodes = "leave-out"
 ) -> StudyTables:
-    """Tables of estimated means, of pairwise contrasts and of ranks, with charts of the means.
+    """Return tables of estimated means, of pairwise contrasts and of ranks, with charts of the means.
 
     Args:
         runs: Runs of one task; those without participants are compared with the others by their ranks alone.

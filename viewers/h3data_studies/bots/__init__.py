@@ -1,1 +1,1 @@
-"""Scripted players: no simulator is needed for them."""
+"""Scripted players, which need no simulator."""

@@ -25,7 +25,7 @@ MOST_KEPT = 20_000
 
 @dataclass
 class Thing:
-    """An object of the state."""
+    """Object in a state message."""
 
     held: int = -1
     """Agent that holds the thing; -1: none."""
@@ -92,7 +92,7 @@ class Client:
         return 200
 
     async def connect(self) -> None:
-        """Opens the socket of a seat, for a new episode or once more; closes the one before."""
+        """Open the socket of a seat, for a new episode or once more; close the one before."""
         await self.close()
         self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
         self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
@@ -101,7 +101,7 @@ class Client:
         self._hearing = asyncio.create_task(self._hear())
 
     async def close(self) -> None:
-        """Closes the socket, if there is one; the seat is kept."""
+        """Close the socket, if there is one; the seat remains."""
         if self._hearing is not None:
             await self.socket.close()
             await asyncio.gather(self._hearing, return_exceptions=True)
@@ -140,7 +140,7 @@ class Client:
                 self.delays.append(now - self._sent.pop(seq))
 
     async def send(self, **message: Any) -> int:
-        """Sends a message; returns its number."""
+        """Send a message; return its number."""
         seq, self.seq = self.seq, self.seq + 1
         now = time.monotonic()
         self._sent[seq] = now
@@ -170,7 +170,7 @@ class Client:
         return found
 
     def heard(self, name: str) -> list[Any]:
-        """Returns the contents of the text frames that have a name."""
+        """Return the contents of the text frames that have a name."""
         return [message[name] for message in self.told if name in message]
 
     @property
@@ -185,10 +185,10 @@ class Client:
 
     @property
     def ack(self) -> int:
-        """Number of the last message that has acted."""
+        """Number of the last message that has taken effect."""
         return self.head[5]
 
     @property
     def rtt_ms(self) -> float:
-        """Time from a message to the state that has it, the last one [ms]; 0: none yet."""
+        """Time from the last acknowledged message to the state that reflects it [ms]; 0: none yet."""
         return 1e3 * self.delays[-1] if self.delays else 0.0

@@ -31,10 +31,10 @@ SAID = "Filled in by a script."
 DONE_M = 0.15
 """Distance from its goal within which a thing counts as placed, as for the page [m]."""
 REACTION_STEPS = (8, 20)
-"""Time between what a bot sees and what it does: 0.25 to 0.7 s, in steps, so that it does not depend on how fast the clock
-runs."""
+"""Time between an observation of a bot and its action, 0.25 to 0.7 s [steps], so that it does not depend on the speed
+of the clock."""
 HESITATES = 0.3
-"""Share of decisions before which a bot steers a little by keys."""
+"""Share of decisions before which a bot briefly steers by keys."""
 FACES_RAD = 0.1
 TRIES = 4
 """Number of places that are tried for a thing."""
@@ -100,11 +100,11 @@ class ScriptedParticipant(Client):
 
     @property
     def stage(self) -> dict[str, Any]:
-        """Returns the next stage."""
+        """Return the next stage."""
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
-        """Answers to the items of the form that is next, at random where there is no right one."""
+        """Return answers to the items of the next form, at random where there is no right one."""
         chance = random.Random(f"{self.name}/{self.stage['form']}/{self.view['progress']['done']}")
         answers: dict[str, Any] = {}
         for item in self.stage["items"]:
@@ -292,7 +292,7 @@ class ScriptedParticipant(Client):
 
     @property
     def over(self) -> bool:
-        """Returns whether the episode has ended."""
+        """Return whether the episode has ended."""
         return bool(self.flags & ENDED or self.heard("over"))
 
     @property
@@ -302,7 +302,7 @@ class ScriptedParticipant(Client):
 
     @property
     def mine(self) -> int:
-        """The thing that the bot holds; -1: none."""
+        """Index of the thing that the bot holds; -1: none."""
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
 
     def _barrier(self, k: int) -> int:

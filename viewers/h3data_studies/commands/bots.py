@@ -1,4 +1,4 @@
-"""``h3data study bots``: scripted participants play a whole study, to try it out and to see how large it is."""
+"""Command ``h3data study bots``: scripted participants play a whole study, to test it and to measure its size."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from h3data_studies.design import Design
 
 AT_ONCE_EACH = 5
-"""Participants at once for each process that simulates: more only wait for each other."""
+"""Number of simultaneous participants for each process that simulates; more would only wait for each other."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class StudyBots:
     study: tyro.conf.Positional[Path]
     """The study file (.toml)."""
     participants: int | None = None
-    """Number of participants (default: as many as the study has places)."""
+    """Number of participants (default: the number of places of the study)."""
     workers: int = 1
     """Processes that simulate."""
     at_once: int | None = None
@@ -58,7 +58,7 @@ class StudyBots:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Plays the study and returns how it went, with the size of the recordings."""
+        """Play the study and return how it went, with the size of the recordings."""
         from h3data_studies.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
         from h3data_studies.forms import right_answers
         from h3data_studies.pseudonyms import ANY
@@ -127,7 +127,7 @@ def bot_name(k: int) -> str:
 
 
 def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str, str]]:
-    """Return the status of each bot that has begun before, and the code by which it goes on without its cookie."""
+    """Return the status of each bot that has begun before, and the code by which it continues without its cookie."""
     from h3data_studies.files import key_file, open_store
     from h3data_studies.pseudonyms import read_key, recruit_ids, rejoin_code
     from h3data_studies.store import DATABASE
@@ -146,7 +146,7 @@ def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str,
 
 @dataclass
 class Crowd:
-    """Scripted participants, some at once."""
+    """Scripted participants, several at a time."""
 
     count: int
     at_once: int
@@ -157,8 +157,8 @@ class Crowd:
     right: dict[tuple[str, str], float] = field(default_factory=dict)
     """Right answers to checks, by form and item."""
     known: dict[str, tuple[str, str]] | None = None
-    """Participants who began before, by name: their status, and the code by which they go on. None: a served study, which
-    asks for ids of its own form."""
+    """Participants who began before, by name: their status, and the code by which they continue. None: a served study,
+    which asks for ids of its own form."""
 
     async def take_part(self, link: str, episodes: int) -> None:
         """Let all scripted participants take part.
@@ -200,7 +200,7 @@ class Crowd:
 
 
 class Late:
-    """Listens to the server while the bots play: steps that it was too slow for, workers that were lost."""
+    """Listener to the server's reports while the bots play: late steps, lost workers."""
 
     def __init__(self, reports: Any) -> None:
         self.slipped = 0

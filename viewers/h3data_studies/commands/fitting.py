@@ -1,4 +1,4 @@
-"""``h3data study``: the analysis of studies with people."""
+"""Command ``h3data study fit``: the analysis of studies with people."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class StudyFit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Fits the models and returns means and differences."""
+        """Fit the models and return means and differences."""
         import json
 
         from h3data.metrics import find_profile, measure_files

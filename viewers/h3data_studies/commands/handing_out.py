@@ -1,4 +1,4 @@
-"""``h3data study data`` and ``h3data study pay``: what participants get: their own data, completion codes, bonuses."""
+"""Commands ``h3data study data`` and ``h3data study pay``: participants' data, completion codes, bonuses."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class StudyData:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the participant's data to a zip file."""
+        """Write the participant's data to a zip file."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.orders import RECORDINGS, TUTORIALS
 
@@ -133,7 +133,7 @@ class StudyPay:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes a table of completion codes and bonuses."""
+        """Write a table of completion codes and bonuses."""
         from h3data_studies.files import key_file, open_store, open_study
         from h3data_studies.flow import COMPLETE
         from h3data_studies.overview import is_bot, played
@@ -185,7 +185,7 @@ class StudyPay:
 
 
 def bonus_of(bonus: Bonus | None, successes: int) -> float:
-    """Returns the payment beyond the reward of a participant who has finished, to the hundredth."""
+    """Return the payment beyond the reward of a participant who has finished, to the hundredth."""
     if bonus is None:
         return 0.0
     amount = bonus.base + bonus.per_success * successes

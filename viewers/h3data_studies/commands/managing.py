@@ -1,4 +1,4 @@
-"""``h3data study status`` and ``h3data study forget``: how a study is going, and the deletion of what somebody has left."""
+"""Commands ``h3data study status`` and ``h3data study forget``: the state of a study, and deletion of a participant's data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class StudyStatus:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns the number of participants in each state and condition."""
+        """Return the number of participants in each state and condition."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.overview import overview
 
@@ -120,7 +120,7 @@ class StudyForget:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Deletes the participant's data and returns what was deleted."""
+        """Delete the participant's data and return what was deleted."""
         from h3data_studies.files import open_store, open_study
 
         folder, design = open_study(self.study)
@@ -158,7 +158,7 @@ class StudyForget:
 
 
 def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
-    """The participant with a number (P-...) or an id at the recruiting platform.
+    """Return the participant with a number (P-...) or an id at the recruiting platform.
 
     Raises:
         InputError: there is none.
@@ -193,6 +193,6 @@ def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
 
 
 def payments_folder(folder: Path) -> Path:
-    """Returns the folder of ``study pay``: beside the study's folder, because it has ids of the recruiting platform."""
+    """Return the folder of ``study pay``: beside the study's folder, because it has ids of the recruiting platform."""
     folder = folder.resolve()
     return folder.with_name(folder.name + "-payments")

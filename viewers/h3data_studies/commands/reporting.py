@@ -1,4 +1,4 @@
-"""``h3data study report`` and ``h3data study compare``: what a study has found."""
+"""Commands ``h3data study report`` and ``h3data study compare``: results of a study."""
 
 from __future__ import annotations
 
@@ -58,11 +58,12 @@ class StudyReport:
     study: tyro.conf.Positional[Path]
     """The study file, or the study's folder."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder to write to (default: report in the study's folder, which h3data study forget keeps free of who is forgotten)."""
+    """Folder to write to (default: report in the study's folder, from which h3data study forget also deletes
+    participants)."""
     everybody: bool = False
     """Include participants who have not finished."""
     free_text: bool = False
-    """Include what participants wrote themselves; it may say who they are."""
+    """Include what participants wrote themselves, which may identify them."""
     model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     pictures: int = 6
@@ -71,7 +72,7 @@ class StudyReport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Measures the study's recordings and writes the report."""
+        """Measure the study's recordings and write the report."""
         from h3data.metrics import find_profile, measure_files
         from h3data_studies.analysis import StudyModel, analyse_study
         from h3data_studies.answers import answer_rows, check_rows, form_means
@@ -167,7 +168,7 @@ class StudyCompare:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Returns a table of both rankings and their agreement."""
+        """Return a table of both rankings and their agreement."""
         from h3data_studies.analysis.ranks import rank_table
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
@@ -202,7 +203,7 @@ class StudyCompare:
 
 
 def finished(people: Sequence[Participant], *, everybody: bool) -> list[Participant]:
-    """Participants whose data count.
+    """Return participants whose data count.
 
     Raises:
         InputError: there are none.
@@ -222,7 +223,7 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
 def usable_recordings(
     folder: Path, design: Design, people: Sequence[Participant], rules: Exclusions
 ) -> tuple[list[Path], Counter[str]]:
-    """Recordings of participants whose episodes can be used, and why how many others are left out."""
+    """Return recordings of participants whose episodes can be used, and the number of others by reason."""
     from h3data_studies.overview import played
 
     reasons: dict[
@@ -290,7 +291,7 @@ def _rule_notes(design: Design, rules: Exclusions, people: Sequence[Participant]
 def trial_rows(
     folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics], rules: Exclusions
 ) -> list[list[str | float]]:
-    """A row for each episode that was played, used or not, with a header.
+    """Return a row for each episode that was played, used or not, with a header.
 
     ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
     ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. ``completed`` is the answer to the
@@ -365,7 +366,7 @@ def trial_rows(
 
 
 def write_rows(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
-    """A CSV file of rows, of which no spreadsheet runs a cell."""
+    """Write a CSV file of rows, of which no spreadsheet runs a cell."""
     with part_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
 

@@ -1,4 +1,4 @@
-"""``h3data study new`` and ``h3data study run``: a study file, and its server."""
+"""Commands ``h3data study new`` and ``h3data study run``: a study file, and its server."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SERVER = "h3data_studies.serve"
 LOCK = ".running"
-"""File of a study's folder that its server holds; it has the participants' link in it."""
+"""Name of the file in a study's folder that its server locks; it contains the participants' link."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Writes the example."""
+        """Write the example."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")
@@ -78,9 +78,9 @@ class StudyRun:
     study: tyro.conf.Positional[Path]
     """The study file (.toml)."""
     workers: int = 1
-    """Processes that simulate; about 12 people at once each."""
+    """Number of processes that simulate; each serves about 12 people at once."""
     seats_per_address: int = 12
-    """Participants at once from one network address."""
+    """Largest number of simultaneous participants from one network address."""
     port: PortOption = 0
     host: HostOption = "127.0.0.1"
     cert: CertOption = None
@@ -89,11 +89,11 @@ class StudyRun:
     allow_hosts: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     speed: Annotated[float, tyro.conf.Suppress] = 1.0
-    """Above 1 time runs faster: for scripted participants."""
+    """Speed of the clock, for scripted participants: above 1 it runs faster."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Serves the study until it is stopped, and returns its recordings."""
+        """Serve the study until it is stopped, and return its recordings."""
         from h3data_studies.files import make_plan, read_design, study_folder
 
         serving = serving_options(
@@ -150,7 +150,7 @@ class StudyRun:
 
 
 def keep_design(folder: Path, design: Design) -> Design:
-    """Stores the study file's content next to what is recorded under it.
+    """Store the study file's content next to what is recorded under it.
 
     The formats of ids may change at any time; a study that began without them continues without.
 
@@ -184,7 +184,7 @@ def keep_design(folder: Path, design: Design) -> Design:
 
 @contextmanager
 def running(folder: Path) -> Iterator[None]:
-    """Holds the folder of a study, so that only one process changes it.
+    """Lock the folder of a study in a block, so that only one process changes it.
 
     Raises:
         InputError: another one does.

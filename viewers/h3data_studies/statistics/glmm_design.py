@@ -23,7 +23,7 @@ Family = Literal["poisson", "binomial"]
 
 
 class SeparationError(InputError):
-    """Some coefficient has no finite estimate: a level or a combination of levels decides the response."""
+    """Some coefficient has no finite estimate: a level or a combination of levels determines the response."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ class FixedDesign:
         return tuple(names)
 
     def matrix(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Returns the design matrix [N, P] of ``columns``: level numbers of factors, values of covariates, each [N]."""
+        """Return the design matrix [N, P] of ``columns``: level numbers of factors, values of covariates, each [N]."""
         rows = len(next(iter(columns.values()))) if columns else 1
         blocks = [np.ones((rows, 1))]
         for term in self.terms:
@@ -63,7 +63,7 @@ class FixedDesign:
         return np.hstack(blocks)
 
     def marginal(self, factor: str) -> NDArray[np.float64]:
-        """Returns the rows [L, P] of the marginal means of ``factor``.
+        """Return the rows [L, P] of the marginal means of ``factor``.
 
         The levels of the other factors get equal weights, covariates are at their mean (emmeans' reference grid).
         """
@@ -109,7 +109,7 @@ def mixed_design(
     levels: Mapping[str, Sequence[str]],
     observation_effect: bool,
 ) -> MixedDesign:
-    """Reads and checks the columns of a table; arguments and errors as for `fit_glmm`."""
+    """Read and check the columns of a table; arguments and errors as for `fit_glmm`."""
     if family not in ("poisson", "binomial"):
         raise InputError(f"Expected the family 'poisson' or 'binomial', got {family!r}.", code="H3-STATS-003")
     if isinstance(fixed, str) or isinstance(random, str):

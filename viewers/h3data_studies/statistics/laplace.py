@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
-    """The most likely random effects for given deviations (and coefficients), and the deviance there."""
+    """Most likely random effects for given deviations (and coefficients), and their deviance."""
 
     deviance: float
     """Deviance: -2 log-likelihood; infinite if the iteration failed."""
@@ -42,7 +42,7 @@ class Mode:
 
 
 class LaplaceModel:
-    """Laplace's approximation for one design. Each mode starts from the previous one, which an optimiser keeps near.
+    """Laplace's approximation for one design. Each search starts from the previous mode.
 
     Nested factors are eliminated from the normal equations in closed form (`NestedElimination`); what remains is dense and
     has the size of the crossed factors and the coefficients.
@@ -70,7 +70,7 @@ class LaplaceModel:
         self._beta = np.linalg.lstsq(x, start, rcond=None)[0]
 
     def mode(self, theta: Array, coefficients: Array | None = None) -> Mode:
-        """Returns the mode for deviations ``theta`` [K] and ``coefficients`` [P], or the most likely ones if None.
+        """Return the mode for deviations ``theta`` [K] and ``coefficients`` [P], or the most likely ones if None.
 
         deviance = -2 log f(y | u, beta) + |u|² + log |I + Λ'Z'WZΛ|, Laplace's approximation of -2 log ∫ f(y | u) φ(u) du.
         """
@@ -117,11 +117,11 @@ class LaplaceModel:
         )
 
     def intercepts(self, mode: Mode, theta: Array) -> Mapping[str, Array]:
-        """Returns the random intercepts b = theta * u on the link scale by factor, each of shape [levels]."""
+        """Return the random intercepts b = theta * u on the link scale by factor, each of shape [levels]."""
         return {name: theta[k] * mode.effects[k] for k, name in enumerate(self.names)}
 
     def pearson(self, mode: Mode) -> float:
-        """Sum of the squared Pearson residuals."""
+        """Return the sum of the squared Pearson residuals."""
         mean, weight = self._moments(mode.eta)
         return float(np.sum((self._y - mean) ** 2 / weight))
 

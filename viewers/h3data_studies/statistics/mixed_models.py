@@ -55,21 +55,22 @@ class GlmmFit:
     modes: Mapping[str, Mapping[str, float]]
     """Most likely intercept of each level, by random factor and level."""
     log_likelihood: float
-    """Laplace's approximation, constants included."""
+    """Log-likelihood by Laplace's approximation, constants included."""
     dispersion: float
     """Pearson's statistic over the residual degrees of freedom; far above 1, the standard errors are too small."""
     converged: bool
     notes: tuple[str, ...]
     """Reservations about the estimates: singular, over-dispersed, always alike, not converged."""
     overdispersed: bool = False
-    """The response varies so much more than the family allows that standard errors and p values are too small."""
+    """True if the response varies so much more than the family allows that standard errors and p values are too
+    small."""
     penalised: bool = False
-    """People (or other levels of a random intercept) always answer alike, so that their deviation has no finite estimate;
-    a penalty holds it back, and estimates depend on that penalty."""
+    """True if people (or other levels of a random intercept) always answer alike, so that their deviation has no finite
+    estimate; a penalty keeps it finite, and estimates depend on that penalty."""
 
     @property
     def sound(self) -> bool:
-        """Returns whether standard errors and p values can be relied on."""
+        """Return whether standard errors and p values can be relied on."""
         return self.converged and not self.overdispersed and not self.penalised
 
     @property
@@ -82,7 +83,7 @@ class GlmmFit:
         return f"GlmmFit({self.formula!r}, {self.family}, {self.rows} rows, {state})"
 
     def to_text(self) -> str:
-        """A table of the coefficients with standard errors and of the deviations, followed by the notes."""
+        """Return a table of the coefficients with standard errors and of the deviations, followed by the notes."""
         state = "" if self.converged else "  NOT CONVERGED"
         lines = [f"{self.formula}   {self.family}, {self.rows} rows{state}", ""]
         width = max(map(len, (*self.fixed.names, *self.deviations)))
@@ -107,7 +108,7 @@ def fit_glmm(
     levels: Mapping[str, Sequence[str]] | None = None,
     observation_effect: bool = False,
 ) -> GlmmFit:
-    """Fits ``response ~ fixed + (1 | random[0]) + (1 | random[1]) + ...`` by maximum likelihood.
+    """Fit ``response ~ fixed + (1 | random[0]) + (1 | random[1]) + ...`` by maximum likelihood.
 
     Equivalent to lme4's ``glmer(..., nAGQ = 1)``: canonical links, penalised iteratively reweighted least squares for
     the random intercepts, Laplace's approximation of the likelihood, standard errors from the observed information.

@@ -31,7 +31,7 @@ class Solution:
     effects: list[Array]
     """Change of the spherical effects of each factor."""
     coefficients: Array
-    """Change of the coefficients; empty if they are bound."""
+    """Change of the coefficients; empty if they are held fixed."""
     log_determinant: float
     """Logarithm of the determinant, log |I + Λ'Z'WZΛ|."""
     fixed_factor: Array
@@ -67,14 +67,14 @@ class NestedElimination:
         }
 
     def effect(self, theta: Array, effects: Sequence[Array]) -> Array:
-        """Part of the linear predictor [N] that spherical effects make with deviations ``theta`` [K]."""
+        """Return the part of the linear predictor [N] that spherical effects make with deviations ``theta`` [K]."""
         total = theta[0] * effects[0][self._groups[0]]
         for k in range(1, len(effects)):
             total = total + theta[k] * effects[k][self._groups[k]]
         return total
 
     def solve(self, theta: Array, weight: Array, residual: Array, effects: Sequence[Array]) -> Solution:
-        """Returns the step that solves the equations for weights and residuals [N] at ``effects``.
+        """Return the step that solves the equations for weights and residuals [N] at ``effects``.
 
         Raises:
             LinAlgError: the matrix is not positive definite.

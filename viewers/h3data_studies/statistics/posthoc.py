@@ -55,7 +55,7 @@ class MarginalMeans:
         return self.means if self.family == "poisson" else self.means * (1 - self.means)
 
     def intervals(self, confidence: float = 0.95) -> NDArray[np.float64]:
-        """Returns the ends of the intervals on the response scale, shape [L, 2]: normal on the link scale, transformed."""
+        """Return the ends of the intervals on the response scale, shape [L, 2]: normal on the link scale, transformed."""
         from scipy.special import expit, ndtri
 
         check_confidence(confidence)
@@ -64,7 +64,7 @@ class MarginalMeans:
         return np.exp(ends) if self.family == "poisson" else expit(ends)
 
     def to_text(self, *, confidence: float = 0.95) -> str:
-        """A table with mean, standard error and interval of each level."""
+        """Return a table with mean, standard error and interval of each level."""
         width = max(map(len, (*self.levels, self.factor)))
         lines = [f"{self.factor.ljust(width)}  {'mean':>10}  {'std. error':>10}  {100 * confidence:g}% interval"]
         rows = zip(self.levels, self.means, self.standard_errors, self.intervals(confidence), strict=True)
@@ -74,7 +74,7 @@ class MarginalMeans:
 
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """``first - second`` of two estimated means."""
+    """Difference ``first - second`` of two estimated means."""
 
     first: str
     second: str
@@ -85,7 +85,7 @@ class Contrast:
     low: float
     """Lower end of the interval, widened for the number of contrasts."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of the interval, widened for the number of contrasts."""
     z: float
     p: float
     """Two-sided p value, adjusted."""
@@ -112,7 +112,7 @@ class RelativeEfficiency:
 
 
 def marginal_means(fit: GlmmFit, factor: str) -> MarginalMeans:
-    """Returns the marginal means of ``factor``: equal weights of the other factors' levels on the link scale."""
+    """Return the marginal means of ``factor``: equal weights of the other factors' levels on the link scale."""
     rows = fit.fixed.marginal(factor)
     return MarginalMeans(
         factor=factor,
@@ -126,7 +126,7 @@ def marginal_means(fit: GlmmFit, factor: str) -> MarginalMeans:
 def contrasts(
     means: MarginalMeans, *, scale: Scale = "link", adjust: Adjustment = "tukey", confidence: float = 0.95
 ) -> tuple[Contrast, ...]:
-    """Returns the contrasts of all pairs of levels with z tests, as emmeans' ``pairs`` (``response``: after ``regrid``).
+    """Return the contrasts of all pairs of levels with z tests, as emmeans' ``pairs`` (``response``: after ``regrid``).
 
     Args:
         means: From `marginal_means`.
@@ -178,7 +178,9 @@ def contrasts(
 def relative_efficiency(
     means: MarginalMeans, baseline: str, *, confidence: float = 0.95
 ) -> tuple[RelativeEfficiency, ...]:
-    """Returns RE = 100 * mean steps of ``baseline`` / mean steps of each other level (Habitat 3.0, appendix, HITL evaluation).
+    """Return RE = 100 * mean steps of ``baseline`` / mean steps of each other level.
+
+    Source: Habitat 3.0, appendix, HITL evaluation.
 
     The interval is that of the ratio, not widened for the number of levels.
     """
@@ -208,7 +210,7 @@ def relative_efficiency(
 
 
 def contrasts_text(rows: Sequence[Contrast]) -> str:
-    """A table of contrasts: the difference (on the link scale, the ratio), its interval, z and p."""
+    """Return a table of contrasts: the difference (on the link scale, the ratio), its interval, z and p."""
     if not rows:
         return "no contrasts"
     width = max(len(f"{c.first} - {c.second}") for c in rows)

@@ -24,7 +24,7 @@ class RankAgreement:
     first_means: tuple[float, ...]
     second_means: tuple[float, ...]
     kendall: float
-    """Kendall's tau-b: 1 same order, -1 reversed; NaN if all means of one evaluation are equal."""
+    """Rank correlation by Kendall's tau-b: 1 same order, -1 reversed; NaN if all means of one evaluation are equal."""
     kendall_low: float
     """Lower end of the bootstrap interval; NaN if no method has two values."""
     kendall_high: float
@@ -42,7 +42,7 @@ def rank_agreement(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> RankAgreement:
-    """Correlates the ranks of the means of methods, with percentile bootstrap intervals.
+    """Correlate the ranks of the means of methods, with percentile bootstrap intervals.
 
     The bootstrap resamples the values of each method (episodes) in both evaluations; with few methods the coefficients take
     few values, and the interval is wide.

@@ -1,1 +1,1 @@
-"""The commands that show recordings: ``h3data view`` and ``h3data report``."""
+"""Commands that show recordings: ``h3data view`` and ``h3data report``."""

@@ -1,4 +1,4 @@
-"""``h3data report``: a self-contained HTML report on datasets, with its tables as Markdown and LaTeX on request."""
+"""Command ``h3data report``: a self-contained HTML report on datasets, with tables as Markdown and LaTeX on request."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ class ReportCommand:
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag
     unseen_partners: tuple[str, ...]
-    """Partners that no robot was trained with, whose mean the heat maps show (default: as the recordings say)."""
+    """Partners that no robot was trained with, whose mean the heat maps show (default: as in the recordings)."""
     seeds: tuple[str, ...]
-    """Policies that differ by their training seed alone, as a pattern in quotes such as "weights:out/s*/policy.npz": they are
-    one row, the mean over seeds and its standard deviation (default: as the evaluation was told)."""
+    """Policies that differ by their training seed alone, as a pattern in quotes such as "weights:out/s*/policy.npz":
+    they share one row, the mean over seeds and its standard deviation (default: as in the evaluation)."""
     study_model: StepsModelOption
     failed: FailedOption
     workers: int

@@ -1,4 +1,4 @@
-"""``h3data view``: a recording as a Rerun file, as an HTML file that plays from disk, or as a strip of pictures.
+"""Command ``h3data view``: a recording as a Rerun file, as an HTML file that plays from disk, or as a strip of pictures.
 
 A Rerun file has a layout and may show two recordings side by side.
 """
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 PICTURES = (".png", ".jpg")
-"""Endings of files with a strip."""
+"""Endings of files that contain a strip."""
 
 
 @suggest_keywords
@@ -94,7 +94,7 @@ class View:
     compare: Path | None
     """Second recording, shown next to the first on the same timeline (.rrd only)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])]
-    """.rrd, .html, .png or .jpg file to write (default: .rrd, next to the recording)."""
+    """File to write: .rrd, .html, .png or .jpg (default: .rrd, next to the recording)."""
     cameras: tuple[str, ...]
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
     people: PeopleOption

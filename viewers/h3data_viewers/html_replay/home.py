@@ -1,4 +1,4 @@
-"""The home and everybody in it as a GLB in pieces: meshes thinned to a budget, coordinates rounded, textures as JPEG."""
+"""Home and agents as a GLB in pieces: meshes thinned to a budget, coordinates rounded, textures as JPEG."""
 
 from __future__ import annotations
 

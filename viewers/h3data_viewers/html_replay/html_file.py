@@ -1,4 +1,4 @@
-"""`write_html`: a recording as one HTML file that plays from disk.
+"""Writer of a recording as one HTML file that plays from disk (`write_html`).
 
 The file holds the page (built from ``h3data_play/web/src/replay``, the scene code of live play), the home as GLB and the
 states, all of it compressed in one block of Base64. Names and texts of the recording are inside that block: the page shows them
@@ -28,7 +28,8 @@ from h3data_viewers.html_replay.tracks import add_tracks
 from h3data_viewers.templates import render
 
 MOST_STATES = 6000
-"""States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
+"""Largest number of states in a file (200 s at 30 Hz): of longer recordings every second, third, ... is stored, and the
+page interpolates between them."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The data of an HTML replay in one compressed block: a JSON header, arrays as quantised differences, files as they are.
+"""Data of an HTML replay in one compressed block: a JSON header, arrays as quantised differences, files unchanged.
 
 ```
 u32 length of the header | header: JSON, UTF-8 | arrays and files, one after the other

@@ -16,8 +16,8 @@ from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
 from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of, touched_rows
 
 CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot slides along furniture"}
-"""Flags of contact and the names of their lanes. A robot that slides along furniture and walls is no event and no
-collision: it happens all the time, and CR counts contacts of robot and person."""
+"""Flags of contact and the names of their lanes. Contact of a robot with furniture and walls is no event and no
+collision: it is frequent, and CR counts contacts of robot and person."""
 VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
 VERBS |= {
     "reacts": "sees the robot and is",
@@ -27,7 +27,7 @@ VERBS |= {
 }
 """Kinds of events as parts of a sentence; others are shown as they are."""
 SCAN_M = 0.01
-"""Step of the distances of scans."""
+"""Resolution of the stored distances of laser scans [m]."""
 _TITLES = {
     "dist_agents": "Distance",
     "distance_l2": "Distance",

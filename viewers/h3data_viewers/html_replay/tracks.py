@@ -1,4 +1,4 @@
-"""Motion of everything in a replay, in the form in which the page poses it.
+"""Motion of everything in a replay, in the form that the page uses.
 
 Robots, doors and drawers are posed by joints, people by bones, and everything else by poses.
 """
@@ -22,8 +22,8 @@ from h3data_exporters.posed_parts import PosedPart
 from h3data_viewers.html_replay.packing import Payload
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
-"""Steps of what is stored: of positions, headings, joints [rad or m] and components of quaternions. Live play
-sends joints as finely and rotations in steps of 1.4e-3."""
+"""Resolution of stored positions, headings, joints [rad or m] and components of quaternions. Live play sends joints as
+finely and rotations in steps of 1.4e-3."""
 _STILL = 1e-4
 """Least change of a coordinate of a pose by which a thing or a bone counts as moving."""
 

@@ -1,4 +1,4 @@
-"""The charts of a report: estimates beside the paper's, distributions, distance over time, learning curves."""
+"""Charts of a report: estimates beside the paper's, distributions, distance over time, learning curves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Interval = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTables:
-    """Tables of a report about the episodes of one task that participants did under conditions."""
+    """Tables of a report about episodes of participants of a study, for one task."""
 
     tables: tuple[Table, ...] = ()
     charts: Mapping[str, Sequence[Svg]] = field(default_factory=dict)
@@ -34,7 +34,10 @@ class StudyTables:
 
 
 def series_class(place: int) -> str:
-    """Class that colours run number ``place``; further runs share the eight colours, as in the macro ``legend``."""
+    """Return the class that colours run number ``place``.
+
+    Further runs share the eight colours, as in the macro ``legend``.
+    """
     return f"s{place % 8 + 1}"
 
 
@@ -64,7 +67,7 @@ def _highest(metric: Metric, values: Sequence[float]) -> float:
 
 
 def estimate_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Return one panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
+    """Return one panel per metric of social navigation: our means with intervals, above the paper's expert and RL."""
     paper = [row for row in published_results().social_nav.rows if row.policies]
     return [_estimates(metric, runs, paper) for metric in SOCIAL_NAV_PROFILE.metrics]
 
@@ -161,7 +164,7 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
 
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
+    """Draw distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
     # with their numbers, so that each keeps its colour where others are left out
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:
@@ -261,7 +264,7 @@ LEARNED: Mapping[str, str] = {
     "reward": "reward: mean of a step",
     "distance_m": "distance_m: mean distance between robot and person [m], the curve that the paper plots beside the reward",
 }
-"""Captions of quantities that the paper's training curves show too."""
+"""Captions of quantities that are also in the paper's training curves."""
 
 
 def learning_charts(curves: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[Svg]:

@@ -59,7 +59,7 @@ class Run:
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
     seeds: tuple[str, ...] = ()
-    """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
+    """Policies, differing only by their training seed, whose episodes these are; empty: one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
         """Return the mean of each metric over ``chosen`` episodes of the run (default: all), by name.
@@ -92,14 +92,14 @@ class Run:
 
     @property
     def size(self) -> str:
-        """``60 episodes``, or ``60 episodes of 3 seeds``."""
+        """Size in words, such as ``60 episodes``, or ``60 episodes of 3 seeds``."""
         episodes = counted(len(self.episodes), "episode")
         return f"{episodes} of {len(self.seeds)} seeds" if self.seeds else episodes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """The mean of a metric over episodes with its 95% interval, or over the means of training seeds with their spread."""
+    """Mean of a metric over episodes with its 95% interval, or over the means of training seeds with their spread."""
 
     mean: float
     low: float
@@ -120,7 +120,7 @@ class ReportData:
     paths: tuple[Path, ...]
     runs: tuple[Run, ...]
     unmeasured: Mapping[str, tuple[str, ...]]
-    """Reasons, with the names of the recordings that could not be measured."""
+    """Names of the recordings that could not be measured, by reason."""
     curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
     """Learning curves by dataset name: columns [N] of which one is ``step``."""
 
@@ -131,7 +131,7 @@ class ReportData:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks that there are episodes of: the paper's in its order, then others as they come."""
+        """Tasks of the episodes: the paper's in its order, then others in order of appearance."""
         there, papers = dict.fromkeys(run.task for run in self.runs), [profile.tasks[0] for profile in PROFILES]
         return tuple(sorted(there, key=lambda task: [*papers, task].index(task)))
 

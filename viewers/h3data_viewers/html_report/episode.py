@@ -1,4 +1,4 @@
-"""One episode of a report: its metrics, what its recording says about itself, and a few kilobytes of its paths."""
+"""One episode of a report: its metrics, facts from its recording, and a few kilobytes of its paths."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Track:
     """Track of one agent."""
 
     kind: str
-    """``robot`` or ``human``."""
+    """Kind of agent: ``robot`` or ``human``."""
     xz: NDArray[np.float32]
     """Floor positions every `TRACK_S`, the last row included, shape [K, 2] [m]; NaN = not there."""
 
@@ -39,18 +39,19 @@ class ReportEpisode:
     policy: str
     partner: str
     population: str
-    """``train``, ``zsc`` or empty."""
+    """Population of the partner: ``train``, ``zsc`` or empty."""
     participant: str
     condition: str
     distance_m: NDArray[np.float32]
-    """Robot to the nearest person every `GRID_S`, shape [G]; empty without both."""
+    """Distance from the robot to the nearest person every `GRID_S` [m], shape [G]; empty if there is no robot or no
+    person."""
     tracks: tuple[Track, ...]
     recorded: bool = True
-    """False if only the metrics of the episode were kept."""
+    """True if the episode has a recording; False if there are only its metrics."""
     beside: tuple[EpisodeMetrics, ...] = ()
     """Metrics of further profiles (`h3data.metrics.Profile.beside`)."""
     imported: str = ""
-    """Rate, people and gaps of a recording that was imported; empty of others."""
+    """Rate, people and gaps of an imported recording; empty for others."""
 
     @property
     def name(self) -> str:

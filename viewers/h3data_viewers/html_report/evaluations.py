@@ -20,12 +20,12 @@ from h3data_viewers.html_report.episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:
-    """Return whether a folder is that of an evaluation whose recordings were not kept."""
+    """Return whether a folder is that of an evaluation without recordings."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
 
 
 def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
-    """Partners of the zero-shot population that all of these evaluations name.
+    """Return the partners of the zero-shot population that all of these evaluations name.
 
     The result is empty if they name none, or different ones, or a path is no evaluation.
     """
@@ -61,7 +61,10 @@ def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
 
 
 def population_beside(partner: str, task: str) -> str:
-    """``train``, ``zsc`` or empty, as `ReportEpisode.population`, for a partner that an evaluation played by name."""
+    """Return the population of a partner that an evaluation played by name: ``train``, ``zsc`` or empty.
+
+    It is the same as `ReportEpisode.population`.
+    """
     from sim_kinematic.policies.rearrange import population_of
 
     return population_of(partner).removesuffix("-pop") if task == REARRANGEMENT_PROFILE.tasks[0] else ""

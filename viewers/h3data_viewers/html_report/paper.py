@@ -105,7 +105,7 @@ def _deviations(runs: Sequence[Run]) -> list[str]:
 
 # --- rearrangement ----------------------------------------------------------------------------------------------------
 def rearrangement_table(runs: Sequence[Run]) -> Table:
-    """SR, RE, CR, RC per policy with its training population and with unseen partners; the paper's rows below."""
+    """Return SR, RE, CR, RC per policy with its training population and with unseen partners, above the paper's rows."""
     paper = published_results().rearrange
     metrics = {m.name: m for m in REARRANGEMENT_PROFILE.metrics}
     shown = ("SR", "RE", "CR", "RC")

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from h3data.scene import Scene
 
 Posing = Callable[..., "Replay"]
-"""Makes the `Replay` of a recording, with further arguments by name."""
+"""Function that makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 MOST_MESSAGES = 12
-"""Number of messages that a card of an episode shows."""
+"""Largest number of messages on the card of an episode."""
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""
 _QUALITY = 78
@@ -46,7 +46,7 @@ _QUALITY = 78
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A floor plan that drawings share, and where the world lies on it."""
+    """A floor plan for several drawings, and its place in the world."""
 
     key: str
     scene: str
@@ -57,10 +57,10 @@ class Plan:
     origin: tuple[float, float]
     """World ``(x, z)`` of the upper left corner."""
     image: str = ""
-    """JPEG as a data URI, drawn pale, so that lines stand out; empty: nobody recorded the scene."""
+    """JPEG as a data URI, in pale colours so that lines stand out; empty if no recording has the scene."""
 
     def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Coordinates on the plan of floor points [K, 2] [m]."""
+        """Return the coordinates on the plan of floor points [K, 2] [m]."""
         return (np.asarray(xz, np.float64) - self.origin) * self.scale
 
     def picture(self, alt: str, *, caption: str = "") -> Svg:
@@ -135,7 +135,9 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
 def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str]:
-    """Floor plans of the scenes with the most episodes, with the paths of robots (in the run's colour) and people (grey).
+    """Draw floor plans of the scenes with the most episodes, with the paths of agents.
+
+    Robots have the run's colour, people are grey.
 
     The text that is returned says which scenes these are and how many there are, if not all are shown.
     """
@@ -193,7 +195,7 @@ def _scale_bar(svg: Svg, plan: Plan) -> None:
 # --- best and worst ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Highlight:
-    """Episode that is shown with key frames."""
+    """Episode with key frames."""
 
     place: int
     """Number of the episode's run."""
@@ -362,7 +364,7 @@ def _messages(recording: Recording) -> list[str]:
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
-    """Return up to five rows that tell the story, with what happens there: start, end, milestones, the encounter."""
+    """Return up to five key rows of an episode with captions: start, end, milestones, the encounter."""
     metrics = episode.metrics
     last = metrics.rows - 1
     if last < 0:

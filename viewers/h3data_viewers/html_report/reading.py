@@ -1,4 +1,4 @@
-"""Recordings read and measured for a report, by this process or by workers anywhere: what comes of them can be sent."""
+"""Recordings read and measured for a report, by this process or by workers; the results can be sent between them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from h3data_viewers.html_report.episode import GRID_S, TRACK_S, ReportEpisode, T
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """An episode, its metrics without the functions that compute them, and what decides who measures and shows it."""
+    """An episode, its metrics without the functions that compute them, and the facts that select its profile and section."""
 
     episode: ReportEpisode
     task: str
     info: Mapping[str, Any]
-    """``profile`` and ``partners`` of `h3data.recording.Episode.info`, where it has them."""
+    """Entries ``profile`` and ``partners`` of `h3data.recording.Episode.info`, if it has them."""
 
 
 @dataclass(frozen=True)

@@ -54,24 +54,24 @@ from h3data_viewers.html_report.text import TASKS, episode_tables, facts, findin
 from h3data_viewers.templates import render
 
 SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
-"""The section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""
+"""Section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """Report as it was written: its files and their contents."""
+    """A written report: its files and their contents."""
 
     title: str
     data: ReportData
     tables: tuple[Table, ...]
-    """The paper's tables that there are episodes for, and the paired differences."""
+    """Tables of the paper for which there are episodes, and the paired differences."""
     tables_of_partners: tuple[Table, ...]
     """Heat maps of policies by partners."""
     missing: tuple[str, ...]
-    """Parts that are not in the report, and why."""
+    """Parts that are not in the report, with the reason."""
     html: str
     replays: tuple[Path, ...] = ()
-    """HTML replays that the page links."""
+    """HTML replays to which the page links."""
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the page, which appears under its name when it is complete."""
@@ -106,7 +106,7 @@ def make_report(
     spread: Spread[Found] = map,
     command: str = "",
 ) -> Report:
-    """Return the report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
+    """Return the report of datasets, logs and folders of logs; at most ``pictures`` episodes have key frames.
 
     ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are those of
     the key frames, as in `h3data.replay.Replay`; ``study_model`` and ``failed`` choose the model of episodes that

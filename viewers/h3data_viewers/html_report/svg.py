@@ -21,7 +21,7 @@ class Mark:
     attributes: Mapping[str, str]
     text: str = ""
     title: str = ""
-    """Text that is shown where the pointer is."""
+    """Text that appears at the pointer."""
 
 
 @dataclass
@@ -35,7 +35,7 @@ class Svg:
     css: str = ""
     """Class of the element."""
     caption: str = ""
-    """Text above the drawing, where the page shows it as a figure."""
+    """Text above the drawing, if the page shows it as a figure."""
     marks: list[Mark] = field(default_factory=list)
 
     def add(self, tag: str, css: str, *, text: str = "", title: str = "", **attributes: float | str) -> None:
@@ -81,7 +81,7 @@ def linear(low: float, high: float, start: float, stop: float) -> Scale:
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Round numbers from ``low`` to ``high``, about ``count``."""
+    """Return round numbers from ``low`` to ``high``, about ``count``."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return [low] if math.isfinite(low) else []
     raw = (high - low) / max(count, 1)

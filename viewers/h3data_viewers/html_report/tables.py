@@ -54,7 +54,7 @@ class Column:
     head: str
     hint: str = ""
     group: str = ""
-    """Head that neighbouring columns of the same group share."""
+    """Common head of neighbouring columns of the same group."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class Section:
     title: str
     rows: tuple[Row, ...]
     published: bool = False
-    """Numbers of the paper, not ours."""
+    """True if the numbers are the paper's, not ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class Table:
     """A table of a report."""
 
     key: str
-    """Short name: ``social_nav``."""
+    """Short name, such as ``social_nav``."""
     title: str
     caption: str
     name_head: str
@@ -135,7 +135,7 @@ def cut(text: str, most: int) -> str:
 
 
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
-    """``mean [low, high]``; without the bracket if there is no interval."""
+    """Return the cell ``mean [low, high]``; without the bracket if there is no interval."""
     interval = "" if math.isnan(low) else f" [{number(low, digits)}, {number(high, digits)}]"
     return Cell(text=number(mean, digits) + interval, value=mean, small=small)
 

@@ -103,7 +103,7 @@ def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
 
 
 def remarks(data: ReportData) -> list[str]:
-    """Assumptions that the measurement of each run had to make, and reasons why metrics are undefined."""
+    """Return assumptions that the measurement of each run had to make, and reasons why metrics are undefined."""
     lines = [f"{run.name}: {line}" for run in data.runs if (line := assumed_task(run.table.episodes))]
     return lines + [
         f"{run.name}, {name}: {text} ({times} of {len(run.episodes)} episodes)"

@@ -22,19 +22,19 @@ from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 ImageStorage = Literal["stills", "video"]
 STILL_WIDTH = 320
 STILL_EVERY = 5
-"""Video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
+"""Number of video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraFeed:
-    """A camera to show, with its track and its images."""
+    """A camera with its track and its images."""
 
     camera: Camera
     """Intrinsics and name."""
     poses: NDArray[np.floating] | None = None
-    """Camera-to-world matrices (OpenCV axes), [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
+    """Matrices from camera (OpenCV axes) to world, [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
     video: Path | None = None
-    """An MP4 file."""
+    """MP4 file with the images of the camera; None if there is no video."""
     steps: NDArray[np.integer] | None = None
     """Step of each video frame; None: the frames are spread evenly over the recording."""
     stills: Iterable[tuple[int, NDArray[np.uint8]]] | None = None
@@ -69,7 +69,7 @@ def scaled(camera: Camera, factor: float) -> Camera:
 
 
 def camera_entity(camera: Camera) -> str:
-    """Entity path of a camera."""
+    """Return the entity path of a camera."""
     return f"world/cameras/{entity_part(camera.name)}"
 
 

@@ -36,7 +36,7 @@ PATH_RADIUS_M, MARK_M = 0.025, 0.09
 
 
 class Drawable(Protocol):
-    """Mesh to show, such as a `h3data.replay.Drawable`."""
+    """Visible mesh, such as a `h3data.replay.Drawable`."""
 
     @property
     def name(self) -> str:
@@ -70,7 +70,7 @@ class Drawable(Protocol):
 
     @property
     def deformable(self) -> bool:
-        """Return whether its vertices change over time, as those of skinned bodies."""
+        """Return whether the vertices change over time, as those of skinned bodies do."""
         ...
 
 
@@ -83,11 +83,11 @@ class PosedScene(Protocol):
         ...
 
     def matrices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World matrices of a moving drawable, [len(steps), 4, 4]; NaN where it is not in the world."""
+        """Return the world matrices of a moving drawable, [len(steps), 4, 4]; NaN where it is not in the world."""
         ...
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World vertices of a deformable drawable, [len(steps), V, 3] [m]."""
+        """Return the world vertices of a deformable drawable, [len(steps), V, 3] [m]."""
         ...
 
 

@@ -19,9 +19,9 @@ from h3data_viewers.rerun.sink import Sink
 GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
-"""Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
+"""Distance of points below which their labels would overlap when the whole home is in view [m]."""
 SCAN_EVERY = 3
-"""Number of steps between scans that are shown: 360 points take 4 kB."""
+"""Number of steps between visible scans: 360 points take 4 kB."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------
@@ -107,7 +107,7 @@ def stacked_labels(positions: NDArray[np.floating], labels: Sequence[str]) -> li
 
 
 def object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
-    """Goal positions of objects [N, 3] [m] and their labels, from ``episode.info``."""
+    """Return the goal positions of objects [N, 3] [m] and their labels, from ``episode.info``."""
     info = recording.episode.info
     goals = info.get("goals")
     if isinstance(goals, Sequence) and not isinstance(goals, str) and goals:
@@ -120,7 +120,7 @@ def object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
 
 
 def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-    """Walking goals of the first person: index of the agent, rows [N] where the goal changes, positions [N, 3] [m]."""
+    """Return the first person's index, the rows [N] in which their walking goal changes, and the goals [N, 3] [m]."""
     goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
     column = recording.columns.get("sim.human_goal")
     people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoggedRecording:
-    """Entity paths under which one recording was logged."""
+    """Entity paths of one recording."""
 
     label: str
     """Root of the recording's entities; empty if the file holds no other recording."""
@@ -24,7 +24,7 @@ class LoggedRecording:
     world: str
     """Absolute path of the recording's home, like all paths below."""
     focus: NDArray[np.floating]
-    """Box [2, 3] that the 3-D view shows initially [m]."""
+    """Box [2, 3] that the 3-D view initially shows [m]."""
     hidden: Sequence[str]
     """Entities that are hidden initially: ceilings."""
     cameras: Sequence[str]
@@ -39,9 +39,9 @@ class LoggedRecording:
 
 
 THIRD_PERSON = "third_person"
-"""Camera whose pictures get a row of their own above all others."""
+"""Name of the camera whose pictures get a row of their own above all others."""
 LARGE_SHARE, LANE_SHARE = 3.0, 0.34
-"""Heights of that row and of a lane, in units of that of the distances."""
+"""Heights of the row of `THIRD_PERSON` and of a lane, relative to that of the distances."""
 
 
 def camera_name(entity: str) -> str:

@@ -26,7 +26,7 @@ class ViewMesh:
     normals: NDArray[np.float32] | None
     uv: NDArray[np.float32] | None = None
     texture: Texture | None = None
-    """The surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
+    """Texture; the surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
 
     @property
     def nbytes(self) -> int:
@@ -76,7 +76,7 @@ def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, 
 
 
 def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
-    """Vertex colours [V, 3] (sRGB) times the texture's colour at each vertex.
+    """Return the vertex colours [V, 3] (sRGB) times the texture's colour at each vertex.
 
     A vertex that several textures share takes that of its last triangle.
     """
@@ -96,7 +96,7 @@ def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
 
 
 def view_texture(texture: Texture, side: int) -> NDArray[np.uint8]:
-    """Texels [H, W, 3] (sRGB), reduced to at most ``side`` x ``side``."""
+    """Reduce a texture to at most ``side`` x ``side`` texels, [H, W, 3] (sRGB)."""
     return np.ascontiguousarray(reduced(texture.pixels, side)[..., :3])
 
 

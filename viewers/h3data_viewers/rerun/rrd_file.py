@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
 LABELS = ("a", "b")
-"""Root entities of two recordings in one file."""
+"""Names of the root entities of two recordings in one file."""
 SKIN_EVERY = 3
 """Number of steps between samples of skinned bodies."""
 

@@ -18,9 +18,9 @@ from h3data.recording.records import Recording
 from h3data_viewers.rerun.sink import Sink
 
 NOTHING = "-"
-"""Lane state while no skill or motion is running."""
+"""Name of the lane state while no skill or motion is running."""
 ENDED = "ended"
-"""Lane state after the last step, in files whose other recording is longer."""
+"""Name of the lane state after the last step, in files whose other recording is longer."""
 STATE_COLORS = {
     NOTHING: 0x3A3A3AFF,
     "apart": 0x616161FF,
@@ -43,7 +43,7 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 def touched_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Return rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
+    """Return rows in which the robot touches a person [T], as far as the recording distinguishes it from other contact."""
     # with several agents, `collision` may be a contact between others
     people = recording.columns.get("metrics.collision_people")
     if people is not None and people.ndim == 2:

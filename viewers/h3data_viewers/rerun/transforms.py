@@ -9,7 +9,7 @@ from h3data.geometry import quat_from_matrix, quat_sign_continuous
 from h3data_viewers.rerun.sink import Sink
 
 BLOCK_STEPS = 4096
-"""Number of steps whose poses are computed and logged together; bounds the memory that a long recording takes."""
+"""Number of steps whose poses are computed and logged together, which limits the memory for a long recording."""
 
 
 def decompose(

@@ -1,4 +1,4 @@
-"""Colors of people: of skin with what is painted on it, of hair, eyes and cloth."""
+"""Colors of people: skin with the paint on it, hair, eyes and cloth."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _triple(*values: float) -> Floats:
 
 
 def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
-    """Color of every slot, [`SLOTS`, 3]; of cloth that is not named, a middle grey."""
+    """Return the color of every slot, [`SLOTS`, 3]; cloth without a color in the outfit is a middle grey."""
     skin, hair = np.array(complexion.skin, np.float32), np.array(complexion.hair, np.float32)
     # brows of fair hair let more of the skin through
     fair = 0.58 if hair.mean() > 120 else 0.85

@@ -32,12 +32,12 @@ class Look:
     """Colors by slot in place of those of the set, whatever is worn."""
 
     def to_json(self) -> str:
-        """Return the appearance in the form that body files hold."""
+        """Return the appearance in the form of body files."""
         return json.dumps(asdict(self))
 
 
 def read_look(text: str) -> Look:
-    """Return the reverse of `Look.to_json`."""
+    """Read an appearance: the inverse of `Look.to_json`."""
     data = json.loads(text)
     complexion: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.pop("complexion").items()}
     colors = {slot: tuple(color) for slot, color in data.pop("colors").items()}

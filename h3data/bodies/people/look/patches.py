@@ -36,7 +36,7 @@ class Patch:
     """Offset of each vertex along the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V,
     3]."""
     ruler: tuple[int, int]
-    """Two vertices of the base."""
+    """Indices of two vertices of the base, whose distance is the length of the ruler."""
     ruler_m: float
     faces: NDArray[np.int32]
     joints: NDArray[np.uint8]
@@ -46,11 +46,11 @@ class Patch:
     slots: NDArray[np.uint8]
     """Index into `SLOTS` of the colour that each vertex has, shape [V]."""
     shade: Floats
-    """Factor on that color, shape [V]."""
+    """Factor on the colour of each vertex, shape [V]."""
     paint: NDArray[np.uint8]
     """Makeup of skin, 0..255, shape [V, `PAINTS`]; no columns for cloth."""
     body_normals: bool
-    """Shaded as the base is, not as its own faces lie."""
+    """True if the patch is shaded with the normals of the base instead of its own."""
 
     def placed(self, vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
         """Return vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""
@@ -89,7 +89,7 @@ def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
 
 
 def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Return the same triangles in an order that packs well: each begins with its first vertex, and all are sorted."""
+    """Return triangles in an order that compresses well: each begins with its first vertex, and all are sorted."""
     first = faces.argmin(axis=1)
     # turned and not sorted: the order of the corners tells which side is outside
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -115,7 +115,7 @@ def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
-    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
+    """Return unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
 
     They point up where faces are degenerate. Vertices of the same ``surface`` [V] are shaded as one.
     """

@@ -26,9 +26,9 @@ class Outfit:
 
     pieces: tuple[str, ...]
     colors: tuple[Mapping[str, Color], ...]
-    """Sets of colors, of which each body has one."""
+    """Sets of colors; each body wears one of them."""
     tights: bool = False
-    """Legs are in the color ``legs`` instead of bare."""
+    """True if the legs have the color ``legs``; False if they are bare."""
 
 
 def _sets(slots: tuple[str, ...], *rows: tuple[int, ...]) -> tuple[Mapping[str, Color], ...]:
@@ -131,12 +131,12 @@ HAIRSTYLES = (
     "scarf",
 )
 SCALP = {"receding": 0.12, "crop": 0.85}
-"""Share of the color of hair in the scalp, by hair style, where it is not the usual one."""
+"""Share of the hair's color in the scalp, by hair style; styles without an entry have the usual share."""
 SCALP_USUAL = 0.6
 
 
 def split_outfit(name: str) -> tuple[str, str]:
-    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty where none is named."""
+    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty if the name has none."""
     # the last colon, as random:SEED has one of its own
     body, _, outfit = name.rpartition(SEPARATOR)
     return (body, outfit) if body and outfit in OUTFITS else (name, "")
@@ -153,7 +153,7 @@ class Wardrobe:
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
-        """Faces of the skin that are invisible below these pieces [F]."""
+        """Return the faces of the skin that are invisible below these pieces [F]."""
         count = self.data[f"skin/{detail}/faces"].shape[-1]
         # a bit for each face, eight to the byte, as files hold them
         bits = np.zeros((count + 7) // 8, np.uint8)

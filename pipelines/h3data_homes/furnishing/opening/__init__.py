@@ -1,1 +1,1 @@
-"""Furniture that opens: its records and how it is placed, and the pieces."""
+"""Furniture that opens: its records, its placement, and the pieces."""

@@ -1,4 +1,4 @@
-"""The pieces that open: hollow bodies with shelves inside, and doors and drawers with joints.
+"""Pieces of furniture that open: hollow bodies with shelves inside, and doors and drawers with joints.
 
 Everything is given in the frame of the piece (`h3data_homes.furnishing.furniture`), closed: it looks like the piece that
 it stands for, and takes the same floor.
@@ -18,11 +18,12 @@ from h3data_homes.solids import Color, MeshBuilder, shade
 BOARD_M = 0.018
 """Thickness of sides, shelves and fronts."""
 SWING_RAD = np.pi / 2
-"""Doors open this far: hinged at their outer edge they stay within their own width, so that what stands beside is not hit."""
+"""Angle by which doors open: hinged at their outer edge they stay within their own width, so that they do not hit their
+neighbours."""
 PULL_SHARE = 0.8
 """Share of its depth by which a drawer opens."""
 INSIDE: Color = (232, 230, 226)
-"""Inner walls of fridges and dishwashers."""
+"""Colour of inner walls of fridges and dishwashers."""
 _X, _Y, _Z = (np.eye(3)[k] for k in range(3))
 
 Span = tuple[float, float]
@@ -311,7 +312,7 @@ def _rack(x: Span, y: Span, z: Span) -> MovingPart:
 def opening_cabinet(
     width: float, depth: float, y: Span, colors: Sequence[Color], metal: Color, front: Color, looks: MeshBuilder
 ) -> Opening:
-    """Return a wall cabinet with doors and two boards inside; ``looks`` is what hangs with it: the tiles below."""
+    """Return a wall cabinet with doors and two boards inside; ``looks`` are meshes attached to it: the tiles below."""
     frame, half = _Body(looks), width / 2
     x, z, count = (-half, half), (-depth / 2, depth / 2 - 0.02), len(colors)
     frame.shell(x, y, z, shade(front, 0.92), shade(front, 0.95))

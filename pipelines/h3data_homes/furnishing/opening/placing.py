@@ -22,10 +22,11 @@ class MovingPart:
     shapes: tuple[Shape, ...]
     joint: Joint
     handle: NDArray[np.float64]
-    """Point at which a hand takes hold, shape [3] [m]."""
+    """Position of the handle, shape [3] [m]."""
     receptacles: tuple[Receptacle, ...] = ()
     behind: tuple[str, ...] = ()
-    """Receptacles of the piece (those of a part as ``part/receptacle``) that it shuts off; its own it shuts off in any case."""
+    """Other receptacles of the piece that the part shuts off (those of a part as ``part/receptacle``); it always shuts
+    off its own."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +34,7 @@ class Opening:
     """A piece of furniture that opens."""
 
     kind: str
-    """Kind after which the instance is named."""
+    """Kind from which the name of the instance is made."""
     category: str
     builder: MeshBuilder
     """Builder of the body, which stands still."""
@@ -65,7 +66,7 @@ def opening_assets(opening: Opening, model: str) -> dict[str, Asset]:
 
 
 def placed_opening(opening: Opening, body: Instance) -> tuple[list[Instance], Articulation]:
-    """Instances of the parts of a piece whose body is placed, and the joints between them."""
+    """Return the instances of the parts of a piece whose body is placed, and the joints between them."""
     instances = [
         replace(body, name=f"{body.name}/{part.name}", asset=f"{body.asset}/{part.name}") for part in opening.parts
     ]

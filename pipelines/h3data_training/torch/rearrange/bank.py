@@ -27,7 +27,8 @@ from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
-"""Index of tables by their paths: the two agents', to where they stand, and anybody's to the floor below an object."""
+"""Index of tables by their paths: those of robot and person to their stands, and anybody's to the floor below an
+object."""
 
 
 class BankFloor(Floor, Protocol):
@@ -52,9 +53,9 @@ class RearrangeBank:
     robot: Robot
     human: Humanoid
     floors: tuple[BankFloor, ...]
-    """Floors of the homes that are played in, [R]."""
+    """Floors of the homes, [R]."""
     scenes: tuple[Scene, ...]
-    """The homes, for pictures; none where the bank comes from a file."""
+    """Homes, for pictures; none if the bank comes from a file."""
     place: NDArray[np.int64]
     """Number of the home, [N]."""
     seeds: NDArray[np.int64]
@@ -64,16 +65,16 @@ class RearrangeBank:
     spots: Array
     """Places of each object at the beginning, then its goals, then handles at rest, [N, 2 K + M, 3] [m]."""
     ends: Array
-    """Places at the ends of the paths, [N, F, S, 2] [m]; NaN where there are fewer."""
+    """Places at the ends of the paths, [N, F, S, 2] [m]; NaN for unused rows."""
     first: NDArray[np.int16]
-    """Point to go to first from each cell, F tables of as many as the home has cells for each episode, one after the other."""
+    """First point of the path from each cell: for each episode F tables, one entry for each cell of the home."""
     first_of: NDArray[np.int64]
     """First entries of each episode, [N]."""
     after: NDArray[np.int16]
-    """Next point from each corner: F tables for each episode."""
+    """Next point of the path from each corner: F tables for each episode."""
     after_of: NDArray[np.int64]
     left: NDArray[np.float32]
-    """Distance from there to the floor below objects and goals [m], 2 K tables."""
+    """Length of the path from each corner to the floor below objects and goals [m], 2 K tables."""
     left_of: NDArray[np.int64]
     corners: Array
     """Corners of all homes, one home after the other [m]."""
@@ -84,7 +85,7 @@ class RearrangeBank:
     shapes: NDArray[np.int64]
     """Number of cells along x and z, [R, 2]."""
     names: tuple[str, ...] = ()
-    """Names by which the homes can be opened, where they are known."""
+    """Names by which the homes can be opened, if they are known."""
 
     @classmethod
     def draw(
@@ -165,7 +166,7 @@ class RearrangeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
-        """Bank with the episodes of several banks, one after the other, of the same rules and bodies.
+        """Merge the episodes of several banks, of the same rules and bodies, one after the other.
 
         If no two banks share a home, it equals the bank that is made of all episodes at once.
         """
@@ -211,7 +212,7 @@ class RearrangeBank:
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:
-        """Return the objects that a planner brings to their goals in each episode, in this order, [N, K]; then -1.
+        """Return the objects that a planner brings to their goals in each episode, in order, [N, K]; then -1.
 
         Raises:
             InputError: there is no such planner.

@@ -1,4 +1,4 @@
-"""A bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
+"""Bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 
 FORMAT = "h3data.rearrange_bank/1"
 BESIDE = ("spec", "robot", "human", "floors", "scenes", "names")
-"""Fields of a bank that are no arrays."""
+"""Names of the fields of a bank that are not arrays."""
 ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
 
 
@@ -40,7 +40,7 @@ class StoredFloor:
 
 
 def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, Any]) -> None:
-    """Write a compressed npz that appears whole or not at all; ``drawn_by`` are the settings that the episodes follow from."""
+    """Write a compressed npz that appears whole or not at all; ``drawn_by`` are the settings of the episodes."""
     about = {
         "format": FORMAT,
         "drawn_by": dict(drawn_by),
@@ -56,10 +56,10 @@ def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, A
 
 
 def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[RearrangeBank, dict[str, Any]]:
-    """Return the bank of a file, without scenes, so not for pictures, and the settings that its episodes were drawn by.
+    """Return the bank of a file, without scenes and pictures, and the settings of its episodes.
 
     Raises:
-        FormatError: it is none, or damaged.
+        FormatError: the file is not a bank of episodes, or is damaged.
         InputError: its episodes are for other rules.
     """
     try:

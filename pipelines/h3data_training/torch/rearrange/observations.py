@@ -22,7 +22,7 @@ from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose, Sensor
 from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
-"""A second ago, of the two moments of `Paths`; 0 is now."""
+"""Index of the moment a second ago among the two moments of `Paths`; 0 is now."""
 
 
 class Paths(NamedTuple):
@@ -33,8 +33,8 @@ class Paths(NamedTuple):
     lengths: Tensor
     """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
-    """Places of each agent `AHEAD_M` further on, on the path to each object or, with what they hold, to its goal,
-    [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
+    """Places of each agent `AHEAD_M` further on the path to each object or, with an object in hand, to its goal, [W, 2,
+    K, n, 2]; to an object in the other agent's hand it is the straight line."""
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
@@ -73,7 +73,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
+        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` computes them."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
@@ -100,13 +100,13 @@ class View(NamedTuple):
 
     @property
     def known_paths(self) -> Paths:
-        """Shortest paths of both agents, which must have been looked up."""
+        """Shortest paths of both agents, which must have been computed."""
         assert self.paths is not None, "`observed` looks them up once for all observations"
         return self.paths
 
     @property
     def hands(self) -> Hands:
-        """State that hands change."""
+        """Objects, their holders and open parts, which hands change."""
         return self.play.hands
 
     @property
@@ -116,7 +116,7 @@ class View(NamedTuple):
 
     @property
     def other_before(self) -> Pose:
-        """The others before the last step."""
+        """State of the other agent before the last step."""
         return self._before(1 - self.agent)
 
     def _before(self, who: int) -> Pose:
@@ -149,12 +149,12 @@ class View(NamedTuple):
 
     @property
     def handles(self) -> Tensor:
-        """Handles of the doors and drawers that the agent may choose to open, at rest, [W, M, 3] [m]."""
+        """Handles of the doors and drawers that the agent may open, at rest, [W, M, 3] [m]."""
         return self.sim.tables.handles(self.play.episode)
 
     @property
     def open_parts(self) -> Tensor:
-        """True for those that stand open, bool [W, M]."""
+        """True for doors and drawers that are open, bool [W, M]."""
         return self.play.opened
 
     @property
@@ -169,7 +169,7 @@ class View(NamedTuple):
 
     @property
     def steps(self) -> Tensor:
-        """Steps since the episode began, [W]."""
+        """Number of steps since the episode began, [W]."""
         return self.play.steps
 
     def floor_y(self) -> Tensor:
@@ -196,7 +196,7 @@ class View(NamedTuple):
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """Return the number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
+        """Return a number for each choice: 1 for the last one, if it ended with this outcome, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
@@ -206,7 +206,7 @@ class View(NamedTuple):
 
 
 def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
-    """Return names of the sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
+    """Return names of the sensors of a device: all but those of the hand and of the start frame."""
     lacking = ("joints",) if parts else ("joints", "parts")
     return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
 
@@ -222,7 +222,7 @@ OF_PATHS = (
     "path_ahead",
     "other_path_ahead",
 )
-"""Observations that `Paths` are needed for."""
+"""Observations that are computed from `Paths`."""
 
 
 def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The part of a rollout that a task with things reads on a device, where its `begin` and `judge` are called with tensors."""
+"""Part of a rollout that tasks with objects read on a device, where their `begin` and `judge` are called with tensors."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from sim_kinematic.sensing.table import Pose
 
 
 class Things(NamedTuple):
-    """Agents of all worlds at one step, and who holds what."""
+    """Agents of all worlds at one step, and the holders of objects."""
 
     agents: tuple[Any, Any]
-    """Robots and people; each has ``xz`` and ``heading``."""
+    """State of robots and people; each has ``xz`` and ``heading``."""
     held_by: Tensor
     """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
 
 
 class SkillWorld(NamedTuple):
-    """The part of a `sim_kinematic.world.World` that such a task reads."""
+    """Part of a `sim_kinematic.world.World` that tasks of agents with skills read on a device."""
 
     worlds: int
     state: Things
     before: Things
-    """Agents one step ago; who held what is not known."""
+    """Agents one step ago; the holders of objects at that time are not known."""
     touching: Tensor
-    """Robot and person touch, bool [W, 1]."""
+    """True if robot and person touch, bool [W, 1]."""
 
 
 class SkillTensorRollout:

@@ -40,13 +40,13 @@ class Choices:
     part: Tensor
     """Number of the choice's door or drawer; 0 if it has none."""
     steps: Tensor
-    """Number of steps that each choice lasts; 0 for those that go somewhere."""
+    """Number of steps that each choice lasts; 0 for movements to a place."""
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
     """Place of a held object in the frame of the agent's root, [3] [m]."""
     changes: int
-    """Step of a pick or a place in which the object changes hands."""
+    """Number of the step of a pick or a place in which the object changes hands."""
 
     @classmethod
     def of(
@@ -148,7 +148,7 @@ def begin(
     hands: Hands,
     oracle: OracleSpec,
 ) -> Turn:
-    """Agents that are free begin what they have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
+    """Begin what free agents have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
     objects, free = places.tables.objects, does.skill == FREE
     number = torch.where(free, chosen, does.skill)
     kind, k = choices.kind[number], choices.target[number]
@@ -183,7 +183,7 @@ def begin(
 
 
 def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
-    """Agents that ``may`` [W] choose anew, and have chosen something else than what they are at."""
+    """Let agents that ``may`` [W] change their choice do so, if it differs from their present one."""
     stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
     return does._replace(
         skill=torch.where(stops, FREE, does.skill),
@@ -261,7 +261,7 @@ def move_people(turn: Turn, person: HumanTensors, places: Places, walker: Walker
 def handle(
     choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
 ) -> tuple[SubGoal, Hands]:
-    """Move held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
+    """Move held objects with the agent at ``root`` [W, 3]; picks and places change hands; skills of limited duration end."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (kind != NAV_HANDLE) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)

@@ -12,10 +12,10 @@ from h3data_training.torch.state import HumanTensors, RobotTensors, tensors_of
 from sim_kinematic.tasks.skills.household import TRACK
 
 RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
-"""Endings of the last choice of an agent."""
+"""Outcomes of the last choice of an agent."""
 NOBODY = -1
 FREE = -1
-"""Number of the choice of an agent that has to choose; also an action: go on, or wait."""
+"""Number that stands for no choice: the agent has to choose. As an action: continue, or wait."""
 
 
 class SubGoal(NamedTuple):
@@ -26,19 +26,19 @@ class SubGoal(NamedTuple):
     field: Tensor
     """Number of the table of paths that the agent follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
-    """Number of the point that the agent goes to, int64 [W]."""
+    """Number of the point that the agent moves to, int64 [W]."""
     best: Tensor
     """Least distance to the sub-goal so far [W] [m]; below 0 if the agent has begun to turn there."""
     since: Tensor
-    """Steps since the sub-goal began, int64 [W]."""
+    """Number of steps since the sub-goal began, int64 [W]."""
     timer: Tensor
-    """Steps of the skill so far, int64 [W]."""
+    """Number of steps of the skill so far, int64 [W]."""
     last: Tensor
     """Number of the last choice, int64 [W]."""
     outcome: Tensor
     """Outcome of the last choice, int64 [W]."""
     order: Tensor
-    """Order of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last."""
+    """Objects that a planner brings to their goals, one after the other, int64 [W, K]; -1 after the last."""
     passed: Tensor
     """Number of objects in that order that are done or skipped, int64 [W]."""
     tries: Tensor
@@ -67,7 +67,7 @@ class SubGoal(NamedTuple):
 
 
 class Hands(NamedTuple):
-    """State that hands change in W worlds: objects with their holders, and what stands open (`Play`)."""
+    """Objects with their holders, and open parts, in W worlds (`Play`)."""
 
     objects: Tensor
     held_by: Tensor
@@ -88,38 +88,38 @@ class Play(NamedTuple):
     held_by: Tensor
     """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
     moved: Tensor
-    """True if each has been put down at its goal, bool [W, K]."""
+    """True if each object has been put down at its goal, bool [W, K]."""
     placed_by: Tensor
-    """Agent that was the last to put each object down, -1 nobody, int64 [W, K]."""
+    """Number of the agent that last put each object down, -1 nobody, int64 [W, K]."""
     paid: Tensor
     """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
     opened: Tensor
-    """True for the doors and drawers of the task that stand open, bool [W, M]."""
+    """True for the doors and drawers of the task that are open, bool [W, M]."""
     memory: Mapping[str, Tensor]
-    """Values that a task of one's own stores between steps, [W, ...] each."""
+    """Values that a custom task stores between steps, [W, ...] each."""
     track: Tensor
     """Places of robot and person at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
     before: Tensor
-    """``(x, z, heading)`` of both a step ago, [W, 2, 3]."""
+    """Place ``(x, z, heading)`` of both agents a step ago, [W, 2, 3]."""
     episode: Tensor
-    """Number in the bank, int64 [W]."""
+    """Number of the episode in the bank, int64 [W]."""
     steps: Tensor
-    """Steps of the episode so far, int64 [W]."""
+    """Number of steps of the episode so far, int64 [W]."""
     ended: Tensor
-    """The episode is over: the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step begins another, bool [W]."""
     success: Tensor
     collides: Tensor
     """True if both agents touch, bool [W]."""
     reward: Tensor
     """Reward of the last step, [W]."""
     terminated: Tensor
-    """The rules ended the episode in the last step, bool [W]."""
+    """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
     """True if the episode had all its steps, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype, parts: int = 0) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:
@@ -155,7 +155,7 @@ class Play(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects with their holders, who moved or placed them, and what stands open."""
+        """Objects with their holders, the agents that moved or placed them, and open parts."""
         return Hands(self.objects, self.held_by, self.moved, self.placed_by, self.opened)
 
     def tensors(self) -> Iterator[Tensor]:

@@ -1,4 +1,4 @@
-"""The bank of episodes on a device, and look-ups in it for W worlds."""
+"""Bank of episodes on a device, and look-ups in it for W worlds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Tables:
     objects: int
     """Number K of objects."""
     parts: int
-    """Number M of doors and drawers that agents may choose to open."""
+    """Number M of doors and drawers that agents may open."""
     fields: int
     """Number F of distance fields."""
     place: Tensor
@@ -34,7 +34,7 @@ class Tables:
     ends: Tensor
     """End points of each distance field, up to S of them, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
-    """Points are int16: a GPU reads half as much."""
+    """First point of the path from each cell, int16: a GPU reads half as much as with int32."""
     first_of: Tensor
     after: Tensor
     after_of: Tensor
@@ -43,7 +43,7 @@ class Tables:
     corners: Tensor
     corners_of: Tensor
     counts: Tensor
-    """Corners of each home, int64 [R]."""
+    """Number of corners of each home, int64 [R]."""
     origins: Tensor
     shapes: Tensor
     floor_y: Tensor
@@ -81,11 +81,11 @@ class Tables:
         )
 
     def goals(self, episode: Tensor) -> Tensor:
-        """Goals of the objects in episodes [W], [W, K, 3] [m]."""
+        """Return the goals of the objects in episodes [W], [W, K, 3] [m]."""
         return self.spots[episode, self.objects : 2 * self.objects]
 
     def handles(self, episode: Tensor) -> Tensor:
-        """Handles at rest of the doors and drawers of the task in episodes [W], [W, M, 3] [m]."""
+        """Return the handles at rest of the doors and drawers of the task in episodes [W], [W, M, 3] [m]."""
         return self.spots[episode, 2 * self.objects :]
 
     def at(self, episode: Tensor) -> Places:
@@ -97,7 +97,7 @@ class Tables:
 
 
 class Places(NamedTuple):
-    """Look-ups for W worlds; what a world has several of comes after its axis."""
+    """Look-ups for W worlds; further axes come after that of the worlds."""
 
     tables: Tables
     episode: Tensor
@@ -121,11 +121,11 @@ class Places(NamedTuple):
         return self.tables.spots[self.episode, number]
 
     def ends(self, field: Tensor) -> Tensor:
-        """Places at the ends of paths [W, ...]: [W, ..., S, 2]."""
+        """Return the places at the ends of paths [W, ...]: [W, ..., S, 2]."""
         return self.tables.ends[self._rows(self.episode, field) * self.tables.fields + field]
 
     def first(self, field: Tensor, xz: Tensor) -> Tensor:
-        """Return the points to go to first on paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
+        """Return the first points of paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
         last = self._rows_of(self.shape, field) - 1
         origin = self._rows_of(self.origin, field)
         cell = ((xz - origin) / CELL_M).floor().long().clamp_min(0)

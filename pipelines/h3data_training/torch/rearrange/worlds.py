@@ -43,7 +43,7 @@ from sim_kinematic.tasks.skills.household import TRACK
 
 
 class RearrangeTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,
@@ -92,13 +92,13 @@ class RearrangeTensors:
         return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         blank = Play.before_the_first(episode.to(self.device), self.bank.objects, self.dtype, self.spec.parts)
         return blank._replace(memory={name: torch.zeros_like(t) for name, t in self._remembered(blank).items()})
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
-        """State of all worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W].
+        """Play a step in all worlds in which the agents choose ``robot`` and ``human``, int64 [W]; return the new state.
 
         Worlds whose episode had ended are at the start of their next one. Choices of planners and of busy agents have
         no effect; -1 continues the present skill, or waits.
@@ -112,7 +112,7 @@ class RearrangeTensors:
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
-        """Put worlds that have ended at the start of their next episode."""
+        """Move worlds that have ended to the start of their next episode."""
         return self._begun(play, play, play.ended)
 
     def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:
@@ -259,7 +259,7 @@ class RearrangeTensors:
         return begun._replace(memory=self._remembered(begun))
 
     def check_functions(self, worlds: int = 2) -> None:
-        """Calls `Task.begin` and `Task.judge` of a task of one's own with tensors without data.
+        """Call `Task.begin` and `Task.judge` of a custom task with tensors without data.
 
         Raises:
             InputError: one of them waits for the device, needs NumPy or what no device has; the message names both.

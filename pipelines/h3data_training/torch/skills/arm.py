@@ -1,4 +1,4 @@
-"""A robot's arm as tensors: joints that move by small steps, and where they bring the hand and all other links."""
+"""Arm of a robot as tensors: joints that move by small steps, and the resulting poses of the hand and all other links."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Hand(NamedTuple):
     point: Tensor
     """Points at which hands hold things, or origins of links, [W, 3] [m]."""
     axes: Tensor
-    """The axes of the link as columns, [W, 3, 3]."""
+    """Axes of the link as columns, [W, 3, 3]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class _Joint:
 
 
 class Arm:
-    """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
+    """Links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
         """Copy the kinematics of a robot's arm to the device.
@@ -151,7 +151,7 @@ def _after(joint: _Joint, parent: Hand, joints: Tensor) -> Hand:
 
 
 def place_hand(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
-    """Hands in the frames of agents at floor points [W, 2] with headings [W] and heights [W], in the world."""
+    """Place hands in the frames of agents at floor points [W, 2], with headings [W] and heights [W], in the world."""
     c, s = heading.cos(), heading.sin()
     x, y, z = hand.point.unbind(-1)
     point = torch.stack([xz[:, 0] + c * x + s * z, floor_y + y, xz[:, 1] + c * z - s * x], -1)
@@ -161,10 +161,10 @@ def place_hand(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand
 
 
 def seen_by(hand: Hand, points: Tensor) -> Tensor:
-    """World points [..., 3] in the frames of hands in the world, [..., 3]."""
+    """Transform world points [..., 3] into the frames of hands in the world, [..., 3]."""
     return ((points - hand.point)[..., None] * hand.axes).sum(-2)
 
 
 def turned(axes: Tensor, by: Tensor) -> Tensor:
-    """Products of rotations [..., 3, 3], to the bit the same wherever: a GPU might do matrix products with 10 bits."""
+    """Multiply rotations [..., 3, 3], with the same bits on every device: a GPU might use 10 bits in matrix products."""
     return (axes[..., None] * by[..., None, :, :]).sum(-2)

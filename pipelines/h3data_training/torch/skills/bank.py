@@ -18,15 +18,15 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, body_indices
 from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "holds", "point", "stand")
-"""The arrays of a `SkillBank`, with a row for each start."""
+"""Names of the arrays of a `SkillBank`, with a row for each start."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillBank:
-    """N starts of one skill, all with as many objects."""
+    """N starts of one skill, all with the same number of objects."""
 
     floors: tuple[FreeSpace, ...]
-    """Floors of the homes that are played in, for the robot's base."""
+    """Floors of the homes, for the robot's base."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the home, [N]."""
@@ -37,9 +37,9 @@ class SkillBank:
     objects: NDArray[np.float64]
     """Places of the objects [N, K, 3] [m]."""
     bodies: NDArray[np.int64]
-    """The objects' numbers among the instances of the home, [N, K]."""
+    """Numbers of the objects among the instances of the home, [N, K]."""
     turned: NDArray[np.float64]
-    """The objects' orientations, quaternions [N, K, 4]."""
+    """Orientations of the objects, quaternions [N, K, 4]."""
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
@@ -47,7 +47,7 @@ class SkillBank:
     point: NDArray[np.float64]
     """Point at which the object lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
-    """The nearest place from which the hand reaches the point, [N, 2] [m]."""
+    """Nearest place from which the hand reaches the point, [N, 2] [m]."""
     unfolded: NDArray[np.float64] | None = None
     """Share of the motion from rest to reaching that the arm has made at the start, [N]; None: it is at rest."""
 
@@ -56,7 +56,7 @@ class SkillBank:
         """Return the starts in some episodes, each with the floor for the robot's base.
 
         Raises:
-            InputError: there are none, or a home is none that a device knows.
+            InputError: there are no starts, or a device does not support a home.
         """
         rows = [(episode, floor, start) for episode, floor, some in starts for start in some]
         if not rows:
@@ -96,7 +96,7 @@ class SkillBank:
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
-        """Bank in which starts close to their stands make up a share of all.
+        """Return a bank in which starts close to their stands make up a share of all.
 
         Starts within ``within_m`` of their stands are repeated for that. The bank is unchanged if there are none, or
         enough.
@@ -109,7 +109,7 @@ class SkillBank:
         return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
 
     def with_reaching(self, share: float, bearing: float, rng: np.random.Generator) -> SkillBank:
-        """Bank in which starts at the stands, with the arm partly extended, make up a share of all.
+        """Return a bank in which starts at the stands, with the arm partly extended, make up a share of all.
 
         Such a start repeats one of the bank, but the robot is where the hand reaches the target, and turned so that it does.
 

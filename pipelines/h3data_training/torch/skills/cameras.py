@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class SkillCameras:
-    """A camera of the robot in each of W worlds, which differ in the home, in robot and arm, and in where the objects are."""
+    """Camera of the robot in each of W worlds, which differ in the home, in robot and arm, and in the objects' places."""
 
     def __init__(
         self,

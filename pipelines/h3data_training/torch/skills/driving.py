@@ -1,4 +1,4 @@
-"""Bases of W worlds that may hold something: `h3data_training.torch.step.drive_robots` with a base of its own for each."""
+"""Motion of bases in W worlds, some with a held object: `h3data_training.torch.step.drive_robots` with a base for each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """Driving of robots in some homes, with an empty hand and with something in it."""
+    """Driving of robots in some homes, with an empty hand and with a held object."""
 
     grids: Grids
     """Grids of all homes."""
@@ -30,7 +30,7 @@ class Drive:
     """Discs of a base that also cover what the hand carries."""
 
     def widened(self, place: Tensor, robot: RobotTensors, holds: Tensor, wide: Tensor) -> Tensor:
-        """True for bases that keep a distance which covers what their hands carry, bool [W].
+        """Return True for bases that keep a distance which covers what their hands carry, bool [W].
 
         These are the ones that hold something, as soon as there is room for it, as in
         `sim_kinematic.agents.robots.driving.RobotDriver`.

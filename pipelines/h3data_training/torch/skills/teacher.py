@@ -1,4 +1,4 @@
-"""Script that carries out the skills in W worlds, for learning policies to imitate at first.
+"""Script that carries out the skills in W worlds, which learning policies imitate at first.
 
 It knows the path, and a posture that reaches the target.
 """
@@ -25,12 +25,12 @@ REACHES_M = 0.3
 ALIGNED_RAD = 0.6
 """Angle to the path up to which the robot drives on; beyond it, it turns on the spot [rad]."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
-"""A robot that sees its target also reaches out if the distance to it differs by less than this from that at the stand, and the
-path to the stand is no longer than the second number: near the target, and not behind a wall [m]."""
+"""Limits within which a robot that sees its target also reaches out: difference of its distance from that at the stand,
+and length of the path to the stand, so that it is not behind a wall [m]."""
 PUTS_M = 0.1
 """Distance from the goal at which the robot lets go [m]."""
 SURE = 1.5
-"""The command of a hand that holds on, far enough from 0 for the noise of exploration."""
+"""Command of a hand that holds on, far enough from 0 for the noise of exploration."""
 
 
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:

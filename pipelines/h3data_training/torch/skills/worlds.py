@@ -37,7 +37,7 @@ from sim_kinematic.sensing.table import OF_SKILLS, Pose
 from sim_kinematic.tasks.skills.skill_starts import Skill
 
 NOTHING = -1
-"""Held by an empty hand."""
+"""Number for an empty hand."""
 
 
 class SkillPlay(NamedTuple):
@@ -45,7 +45,7 @@ class SkillPlay(NamedTuple):
 
     robot: RobotTensors
     joints: Tensor
-    """Joints of the arm, [W, n]."""
+    """Positions of the arm's joints, [W, n]."""
     objects: Tensor
     """Places of the objects [W, K, 3] [m]."""
     turned: Tensor
@@ -55,12 +55,12 @@ class SkillPlay(NamedTuple):
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
-    """True if the base keeps clear by what the hand carries too, bool [W]."""
+    """True if the base also keeps clear by the size of what the hand carries, bool [W]."""
     episode: Tensor
-    """Number in the bank, int64 [W]."""
+    """Number of the episode in the bank, int64 [W]."""
     steps: Tensor
     ended: Tensor
-    """The episode is over: the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step begins another, bool [W]."""
     way: Tensor
     """Length of the path to the stand [W] [m]."""
     towards: Tensor
@@ -70,7 +70,7 @@ class SkillPlay(NamedTuple):
     folded: Tensor
     """Distance from the hand to its resting place [W] [m]."""
     paid: Tensor
-    """The object has been at its goal, bool [W]."""
+    """True if the object has been at its goal, bool [W]."""
     before_xz: Tensor
     before_heading: Tensor
     reward: Tensor
@@ -122,7 +122,7 @@ class SkillContext(NamedTuple):
 
     @property
     def now(self) -> RobotTensors:
-        """State of the robots now."""
+        """Present state of the robots."""
         return self.play.robot
 
     @property
@@ -145,16 +145,16 @@ class SkillContext(NamedTuple):
         return self.play.way, self.play.robot.xz + self.play.towards
 
     def clearance(self, points: Tensor) -> Tensor:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return clearance(self.grids, points)
 
     def in_hand(self, points: Tensor) -> Tensor:
-        """World points [W, n, 3] in the frames of the hands."""
+        """Transform world points [W, n, 3] into the frames of the hands."""
         return seen_by(Hand(self.hand.point[:, None], self.hand.axes[:, None]), points)
 
 
 class SkillTensors:
-    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
 
     def __init__(
         self,
@@ -213,7 +213,7 @@ class SkillTensors:
 
     @property
     def action_width(self) -> int:
-        """Numbers of an action: base [2], for pick and place also arm [n] and grip [1]."""
+        """Number of values of an action: base [2], for pick and place also arm [n] and grip [1]."""
         return 2 if self.skill == "nav" else self.arm.count + 3
 
     @property
@@ -222,7 +222,7 @@ class SkillTensors:
         return self.rules.nav_steps if self.skill == "nav" else self.rules.arm_steps
 
     def before_the_first(self, episode: Tensor) -> SkillPlay:
-        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
         worlds = len(episode)
 
         def numbers(*axes: int) -> Tensor:
@@ -257,7 +257,7 @@ class SkillTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
-        """Return all worlds after ``action`` [W, n], those that had ended at the start of their next episode.
+        """Return all worlds after ``action`` [W, n]; worlds that had ended are at the start of their next episode.
 
         A step that does not look leaves the path to the stand as it was, and so what the robot has gained on it to the next one
         that does: looking takes a third of the time.
@@ -398,7 +398,7 @@ class SkillTensors:
 
     # --- for those who look on ----------------------------------------------------------------------------------------
     def points(self, play: SkillPlay) -> Tensor:
-        """Return where targets lie or are to go, [W, 3] [m]."""
+        """Return the positions or goals of targets, [W, 3] [m]."""
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
@@ -410,11 +410,11 @@ class SkillTensors:
         return self._floor_y[self._place[play.episode]]
 
     def reaching(self, play: SkillPlay) -> Tensor:
-        """Return joints of the arm that reach for the targets from their stands, [W, n]."""
+        """Return arm joints with which hands reach the targets from their stands, [W, n]."""
         return self._reaching[play.episode]
 
     def reach(self, play: SkillPlay) -> Tensor:
-        """Return how far the targets are from their stands, on the floor plane [W] [m]."""
+        """Return the distance of the targets from their stands, on the floor plane [W] [m]."""
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
