@@ -14,7 +14,7 @@ DIRECTIONS, SPEEDS = 24, 3
 
 @kernel(error_model="numpy")
 def half_plane(px, pz, vx, vz, radius, horizon, dt, share):
-    """Half-plane of velocity changes that avoid one neighbour.
+    """Return the half-plane of velocity changes that avoid one neighbour.
 
     The relative velocity must leave the velocity obstacle: the cone of velocities that lead into the disc ``radius`` around
     the neighbour within ``horizon``. The nearest way out is shared between both.
@@ -58,7 +58,7 @@ def half_plane(px, pz, vx, vz, radius, horizon, dt, share):
 
 @kernel(error_model="numpy")
 def nearest_velocity(planes, count, wanted_x, wanted_z, most):
-    """The velocity nearest to the wanted one that satisfies all half-planes, by an incremental linear program.
+    """Return the velocity nearest to the wanted one that satisfies all half-planes, by an incremental linear program.
 
     Where none does, the velocity of a few that violates them least.
 

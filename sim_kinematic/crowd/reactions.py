@@ -58,7 +58,7 @@ VIEW_RAD = math.radians(100.0)
 
 @kernel(error_model="numpy")
 def sees(sdf, origin, cell, ax, az, bx, bz):
-    """Returns whether the straight line between two places is free of walls and furniture."""
+    """Return whether the straight line between two places is free of walls and furniture."""
     length = math.hypot(bx - ax, bz - az)
     at = 0.0
     while at < length:
@@ -75,7 +75,7 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 
 @kernel(error_model="numpy")
 def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
-    """Returns whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
+    """Return whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
 
     Args:
         reaction: Row of `TABLE`.
@@ -106,7 +106,7 @@ def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
 
 @kernel(error_model="numpy")
 def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
-    """Velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
 
     Args:
         reaction: Row of `TABLE`.

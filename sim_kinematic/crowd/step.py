@@ -59,7 +59,7 @@ def reach_between(m, j, px, pz, radii, body):
 
 @kernel(error_model="numpy")
 def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
-    """Returns whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
+    """Return whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
 
     Args:
         xz: Positions of the people [M, 2] [m].
@@ -87,12 +87,28 @@ def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
 
 
 @kernel(error_model="numpy")
-def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
-    """Distance along the path [m] of the first narrow place from ``along`` on, -1 if there is none ``within`` [m]."""
+def is_narrow(sdf, origin, cell, x, z, narrow, beside):
+    """Return whether two people cannot pass each other at a place; with ``beside`` only if neither can where there is more room.
+
+    Shortest paths lead along walls and furniture, also through wide rooms.
+    """
+    missing = narrow - sample_sdf(sdf, origin, cell, x, z)
+    if missing <= 0.0 or not beside:
+        return missing > 0.0
+    gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+    steep = max(math.hypot(gx, gz), 1e-9)
+    # a little farther, as distances of the grid are interpolated
+    missing += 0.02
+    return sample_sdf(sdf, origin, cell, x + gx / steep * missing, z + gz / steep * missing) < narrow
+
+
+@kernel(error_model="numpy")
+def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within, beside):
+    """Return the distance along the path [m] of the first narrow place from ``along`` on, -1: none ``within`` [m]."""
     at = along
     while at <= min(along + within, cumulative[-1]):
         x, z = point_along(path, cumulative, at)
-        if sample_sdf(sdf, origin, cell, x, z) < narrow:
+        if is_narrow(sdf, origin, cell, x, z, narrow, beside):
             return at
         at += AHEAD_M
     return -1.0
@@ -100,16 +116,16 @@ def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
 
 @kernel(error_model="numpy")
 def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims, step, rules):
-    """Notes in ``claims`` [M, 6] who is in or before a narrow place, in place.
+    """Note in ``claims`` [M, 6] who is in or before a narrow place, in place.
 
     A row holds the step in which the person came there (0: nowhere), the place (x, z) where it begins for them, the direction
     in which they pass it, and whether they are in it.
     """
-    narrow, wait = rules[5], rules[6]
+    narrow, wait, beside = rules[5], rules[6], rules[18] > 4.0
     for m in range(len(xz)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
-        inside = sample_sdf(sdf, origin, cell, xz[m, 0], xz[m, 1]) < narrow
-        at = along[m] if inside else find_narrow(sdf, origin, cell, path, cumulative, along[m], narrow, wait)
+        inside = is_narrow(sdf, origin, cell, xz[m, 0], xz[m, 1], narrow, beside)
+        at = along[m] if inside else find_narrow(sdf, origin, cell, path, cumulative, along[m], narrow, wait, beside)
         if at < 0.0 or counts[m] < 2:
             claims[m, 0] = 0.0
             continue
@@ -126,7 +142,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 @kernel(error_model="numpy")
 def first_through(claims, company, m, wait):
-    """Number of the person who passes a narrow place before person ``m`` in the opposite direction; -1: nobody does."""
+    """Return the number of the person who passes a narrow place before person ``m`` the opposite way; -1: nobody does."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -146,7 +162,7 @@ def first_through(claims, company, m, wait):
 
 @kernel(error_model="numpy")
 def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
-    """Velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    """Return the velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
     # with less room to a nearer point, as a straight line to a far one could cut a corner
     room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
     ahead = min(0.3 + max(room, 0.0), 0.9)
@@ -161,7 +177,7 @@ def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, dec
 
 @kernel(error_model="numpy")
 def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, their_lengths, their_along, inside, rules):
-    """Velocity (x, z) [m/s] of somebody who lets another one through: off the other's path, or back out of the passage."""
+    """Return the velocity (x, z) [m/s] of somebody who gives way: off the other's path, or back out of the passage."""
     if inside:
         tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
         distance = math.hypot(tx - x, tz - z)
@@ -188,7 +204,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 def choose_velocity(
     sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
 ):
-    """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that person ``m`` chooses, who wants ``(wx, wz)``.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -303,7 +319,7 @@ def choose_velocity(
 
 @kernel(error_model="numpy")
 def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt):
-    """Moves the body of person ``m`` as far as it can follow the chosen velocity, in place.
+    """Move the body of person ``m`` as far as it can follow the chosen velocity, in place.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -442,7 +458,7 @@ def step_crowd(
         step: Number of the step.
         dt: Duration of a step [s].
     """
-    decel, unblocked = limits[1], rules[22] > 0.0
+    decel, unblocked = limits[1], rules[18] > 3.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
@@ -489,7 +505,7 @@ def step_crowd(
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
                 wx, wz = keep_company(
-                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0, unblocked
+                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 1.0, unblocked
                 )
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
