@@ -39,7 +39,7 @@ VERSION = 5
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
 somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
 slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`).
-Up to version 4, people give way also where their paths do not meet (`CrowdSpec.version`)."""
+Up to version 4, every place near a wall counts as narrow, and people give way later and more slowly."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""

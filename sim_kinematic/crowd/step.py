@@ -88,9 +88,9 @@ def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
 
 @kernel(error_model="numpy")
 def is_narrow(sdf, origin, cell, x, z, narrow, beside):
-    """Return whether two people cannot pass each other at a place; with ``beside`` only if neither can where there is more room.
+    """Return whether two people cannot pass each other at a place.
 
-    Shortest paths lead along walls and furniture, also through wide rooms.
+    With ``beside``, it is not narrow if there is room where it is wider: shortest paths lead along walls, also in wide rooms.
     """
     missing = narrow - sample_sdf(sdf, origin, cell, x, z)
     if missing <= 0.0 or not beside:
@@ -104,7 +104,7 @@ def is_narrow(sdf, origin, cell, x, z, narrow, beside):
 
 @kernel(error_model="numpy")
 def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within, beside):
-    """Return the distance along the path [m] of the first narrow place from ``along`` on, -1: none ``within`` [m]."""
+    """Return the distance along the path [m] of the first narrow place from ``along`` on; -1: none is near (``within`` [m])."""
     at = along
     while at <= min(along + within, cumulative[-1]):
         x, z = point_along(path, cumulative, at)
@@ -311,6 +311,9 @@ def choose_velocity(
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
+                share = rules[22]
+            elif j < len(body) and firsts[m] == j and not forces:
+                share = 1.0 - rules[22]
         # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
