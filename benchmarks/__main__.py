@@ -37,6 +37,15 @@ def main(arguments: list[str]) -> int:
         metavar="NAME",
         help="a body of people, or 'all' that are shipped, again for more (penetration: they wander)",
     )
+    parser.add_argument(
+        "--model",
+        action="append",
+        metavar="NAME",
+        help="a model of crowds, again for more (people; default: orca, social_force and, for speed alone, wander)",
+    )
+    parser.add_argument(
+        "--place", action="append", metavar="NAME", help="a place, again for more (people; default: all)"
+    )
     options = parser.parse_args(arguments)
     wanted: list[str] = options.groups
     if options.episodes is not None and options.episodes < 1:
@@ -54,6 +63,7 @@ def main(arguments: list[str]) -> int:
     for group in [g for g in GROUPS if not wanted or any(g == w or g.startswith(w + "_") for w in wanted)]:
         run = importlib.import_module(f"benchmarks.{group}").run
         given = {"episodes": options.episodes, "robots": options.robot, "humans": options.human}
+        given |= {"models": options.model, "places": options.place}
         takes = inspect.signature(run).parameters
         run(emit, **{name: value for name, value in given.items() if value is not None and name in takes})
     record = {

@@ -29,7 +29,8 @@ Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges
 recording. ``people.<model>.w16_p4_env_steps_per_cpu_s``: steps of 16 worlds of ``crowd_nav`` with 4 people each, all worlds
 counted. ``wander`` is the model with right of way, which is slower by design.
 
-    python -m benchmarks people
+    python -m benchmarks people                                     # both models of crowds, in all places
+    python -m benchmarks people --model social_force --place homes  # one model in one place
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ GRIDLOCK_S, GETS_ON_M = 20, 0.5
 
 
 def hall(width: float = HALL_M[0], depth: float = HALL_M[1]) -> Scene:
-    """An empty room with walls, ``width`` x ``depth`` [m]."""
+    """Return an empty room with walls, ``width`` x ``depth`` [m]."""
     blocks = {
         "floor": ((-0.1, -0.1, -0.1), (width + 0.1, 0.0, depth + 0.1)),
         "west": ((-0.1, 0.0, -0.1), (0.0, 2.6, depth + 0.1)),
@@ -100,7 +101,7 @@ def _block(name: str, low: Array, high: Array) -> Asset:
 
 
 def walk(scene: Scene, free: FreeSpace, people: int, policy: str, seed: int, steps: int) -> Recording:
-    """Recording of people who walk about a scene under a policy."""
+    """Return a recording of people who walk about a scene under a policy."""
     task, roster = Wander(), make_roster(["human"] * people)
     spec = SocialNavSpec(max_steps=steps, spawn_distance_m=0.8)
     episode = task.sample(scene, free, seed, spec, roster)
@@ -125,7 +126,7 @@ class Walks(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, scene: Scene, free: FreeSpace) -> Walks:
-        """Positions and velocities of a recording's people in a home and on its floor."""
+        """Return positions and velocities of a recording's people in a home and on its floor."""
         columns, people = recording.columns, len(recording.agents)
         xz = np.stack([columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(people)], 1).astype(np.float64)
         room = free.signed_distance(xz.reshape(-1, 2)).reshape(xz.shape[:2])
@@ -138,7 +139,7 @@ class Walks(NamedTuple):
 
 
 def floor_around(scene: Scene, free: FreeSpace, xz: Array) -> Array:
-    """Area [T, P] [m2] of the free floor of rooms within `AROUND_M` of places [T, P, 2], by points of a sunflower."""
+    """Return the area [T, P] [m2] of the free floor of rooms within `AROUND_M` of places [T, P, 2], by a sunflower."""
     k = np.arange(POINTS) + 0.5
     ring = AROUND_M * np.sqrt(k / POINTS) * np.stack([np.cos(2.4 * k), np.sin(2.4 * k)])
     at = xz[::EVERY, :, None] + ring.T
@@ -151,7 +152,7 @@ def floor_around(scene: Scene, free: FreeSpace, xz: Array) -> Array:
 
 
 def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
-    """Figures of several walks, each with its unit."""
+    """Return figures of several walks, each with its unit."""
     free_speeds, closest, sides = [], [], []
     density, speeds, standing, rooms = [], [], [], []
     contacts = gridlocks = 0
@@ -213,7 +214,7 @@ def _home(name: str) -> tuple[Scene, FreeSpace]:
 
 
 def _env_speed(model: str, worlds: int = 16, steps: int = 300) -> float:
-    """Steps of an environment of many worlds in a second of CPU time, all worlds counted."""
+    """Return the steps of an environment of many worlds in a second of CPU time, all worlds counted."""
     env = h3data.make("crowd_nav", "h3-homes/train", num_envs=worlds, partner=model, observations=["goal_gps"])
     env.reset(seed=1)
     still = np.zeros((worlds, 2), np.float32)
@@ -226,31 +227,33 @@ def _env_speed(model: str, worlds: int = 16, steps: int = 300) -> float:
     return worlds * steps / (time.process_time() - began)
 
 
-def run(emit: Emit, *, episodes: int = 2) -> None:
-    """Measures each model of crowds in ``episodes`` runs of each place."""
+def run(
+    emit: Emit, *, episodes: int = 2, models: Sequence[str] = (*MODELS, "wander"), places: Sequence[str] = ()
+) -> None:
+    """Measure models of crowds in ``episodes`` runs of each place; with ``places``, in these alone and without speeds."""
     room = hall()
     floor = FreeSpace.from_scene(room)
-    homes, large = [_home(name) for name in HOMES], _home("large:0")
+    homes = [_home(name) for name in HOMES]
     steps = MINUTES * 60 * RATE
-    for model in (*MODELS, "wander"):
+    for model in () if places else models:
+        large = _home("large:0")
         walk(*large, 8, model, 0, 30)  # compiles
         for count in (8, 24):
             began = time.process_time()
             walk(*large, count, model, 1, 1800)
             emit(f"people.{model}.p{count}_steps_per_cpu_s", 1800 / (time.process_time() - began), "steps/s")
-    for model in MODELS:
-        emit(f"people.{model}.w16_p4_env_steps_per_cpu_s", _env_speed(model), "steps/s")
-        places = {
-            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps), room, floor) for k in range(episodes)],
-            "homes": [
-                Walks.of(walk(*home, 4, model, 100 + k, steps), *home) for home in homes for k in range(episodes)
-            ],
+    for model in (model for model in models if model in MODELS):
+        if not places:
+            emit(f"people.{model}.w16_p4_env_steps_per_cpu_s", _env_speed(model), "steps/s")
+        partners = {"homes": model} | {
+            name: ",".join(f"{model}+{word}" for word in words) for name, words in COMPANY.items()
         }
-        for name, words in COMPANY.items():
-            partner = ",".join(f"{model}+{word}" for word in words)
-            places[name] = [
-                Walks.of(walk(*home, 4, partner, 100 + k, steps), *home) for home in homes for k in range(episodes)
+        for place in places or ("hall", *partners):
+            people, who = (24, model) if place == "hall" else (4, partners[place])
+            walks = [
+                Walks.of(walk(*home, people, who, 100 + k, steps), *home)
+                for home in ([(room, floor)] if place == "hall" else homes)
+                for k in range(episodes)
             ]
-        for place, walks in places.items():
             for name, (value, unit) in describe(walks).items():
                 emit(f"people.{model}.{place}.{name}", value, unit)

@@ -241,7 +241,7 @@ class ChoreRoutine(Routine):
         return (np.asarray(place[:2], np.float64), errand), ("", "")
 
     def _do(self, place: Array, k: int, plan: Chore, here: Array, seconds: float) -> Motion:
-        """Yields the motion of somebody who steps to a place [3] and does the chore of stop ``k`` there."""
+        """Yield the motion of somebody who steps to a place [3] and does the chore of stop ``k`` there."""
         yield from steps_between(here, place)
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
@@ -445,7 +445,7 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
 
 
 def _carried_tray(body: Humanoid, scale: float) -> Array:
-    """Place [3] of the middle of a tray that a body carries, in the agent root frame."""
+    """Return the place [3] of the middle of a tray that a body carries, in the agent root frame."""
     frames = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose(np.zeros(1, np.int64), np.zeros(1)))[0]
     middle = np.zeros(3)
     for ahead in TRAY_AHEAD:
@@ -464,7 +464,7 @@ def _body(kind: str, pose: Array, count: int | None = None) -> Body:
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:
-    """Places to which hands are led [T, 4, 4] that hold a tray at places [T, 3] and lean to a spot [3], by the agent root."""
+    """Return places [T, 4, 4] of hands that hold a tray at places [T, 3] and lean to a spot [3], in the agent root frame."""
     lead = np.zeros((len(middle), 4, 4))
     lead[:, :2, :3] = _grips(middle, np.tile(IDENTITY_POSE, (len(middle), 1)))
     lead[:, 2:, :3] = _grips(spot, IDENTITY_POSE) + np.array([farther_m, 0.0, 0.0])
@@ -499,7 +499,7 @@ def _planned(
 
 # --- places --------------------------------------------------------------------------------------------------------------
 def _before_door(scene: Scene, thing: Instance) -> Array:
-    """Places ``(x, z, heading)`` [N, 3] before the door of a thing, facing it."""
+    """Return places ``(x, z, heading)`` [N, 3] before the door of a thing, facing it."""
     joint, handles, *_ = _door(scene, thing.name)
     if joint < 0:
         return np.zeros((0, 3))
@@ -517,7 +517,7 @@ def _before_door(scene: Scene, thing: Instance) -> Array:
 
 
 def _around(scene: Scene, thing: Instance) -> Array:
-    """Places ``(x, z, heading)`` [N, 3] around a thing, facing it at right angles, the nearest first."""
+    """Return places ``(x, z, heading)`` [N, 3] around a thing, facing it at right angles, the nearest first."""
     low, high = instance_bounds(scene, thing)[:, [0, 2]]
     rows = []
     for gap in (0.33, 0.38, 0.43, 0.48):
@@ -570,7 +570,7 @@ def _door(scene: Scene, name: str) -> Leaf:
 
 
 def _frame(handles: Array) -> tuple[Array, Array, Array]:
-    """Directions [2] out of a closed door and from hinge to handle, and the hinge [2], from the handle's path [N, 3]."""
+    """Return directions [2] out of a closed door and from hinge to handle, and the hinge [2], by the handle's path [N, 3]."""
     path = handles[:, [0, 2]]
     ahead = (path[1] - path[0]) / np.hypot(*(path[1] - path[0]))
     middle = path[len(path) // 2]
@@ -711,7 +711,7 @@ def _arm(body: Humanoid, side: int) -> float:
 
 @lru_cache(maxsize=16)
 def _solids(scene: Scene) -> list[tuple[Instance, Array]]:
-    """Everything in a scene that has shapes, with its bounds [2, 3]."""
+    """Return everything in a scene that has shapes, with its bounds [2, 3]."""
     return [(each, instance_bounds(scene, each)) for each in scene.instances if scene.assets[each.asset].shapes]
 
 
@@ -738,13 +738,13 @@ def _hands(root: Array, hinge: Array) -> tuple[Hand, Hand]:
 
 
 def _seen(root: Array, points: Array) -> Array:
-    """World points [N, 3] in the frames of agent roots, [7] or [N, 7]."""
+    """Return world points [N, 3] in the frames of agent roots, [7] or [N, 7]."""
     inverse = pose_inverse(root)
     return inverse[..., :3] + quat_rotate(np.broadcast_to(inverse[..., 3:], (*points.shape[:-1], 4)), points)
 
 
 def _grips(middle: Array, root: Array) -> Array:
-    """Places [..., 2, 3] of the left and the right palm at the sides of trays whose middle is at world points [..., 3]."""
+    """Return the places [..., 2, 3] of the left and the right palm at trays whose middle is at world points [..., 3]."""
     ends = np.array([[-GRIP_BACK_M, 0, -TRAY_M[2]], [-GRIP_BACK_M, 0, TRAY_M[2]]])
     quats = np.broadcast_to(root[..., None, 3:], (*middle.shape[:-1], 2, 4))
     return middle[..., None, :] + quat_rotate(quats, np.broadcast_to(ends, (*middle.shape[:-1], 2, 3)))

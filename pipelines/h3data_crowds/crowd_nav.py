@@ -68,7 +68,7 @@ class CrowdNav(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: CrowdNavSpec, roster: tuple[AgentSpec, ...]
     ) -> Episode:
-        """Samples starts, and a goal with room around it that is at least ``goal_path_m`` away.
+        """Sample starts, and a goal with room around it that is at least ``goal_path_m`` away.
 
         Raises:
             SceneError: the home has no such place.
@@ -95,7 +95,7 @@ class CrowdNav(Task):
         return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Rewards progress and arriving; touching a person costs and, by the rules, ends the episode."""
+        """Reward progress and arriving; touching a person costs and, by the rules, ends the episode."""
         xp, memory, spec, world = play.xp, play.memory, play.spec, play.world
         memory["goal"] = self.moved_goals(play)
         left, before = self._left(play, memory["goal"]), memory["left"]

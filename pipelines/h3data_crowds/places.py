@@ -30,7 +30,7 @@ class Frame(NamedTuple):
     """Direction of the axis [rad]."""
 
     def to_world(self, points: Array) -> Array:
-        """Points (along, right) [..., 2] as (x, z) [..., 2] [m]."""
+        """Return points (along, right) [..., 2] as (x, z) [..., 2] [m]."""
         return np.asarray(self.origin + points @ axes_of(np.array(self.heading)))
 
 

@@ -51,7 +51,7 @@ def _target(view: AgentView) -> Array:
 
 
 def _drive(view: AgentView, base: BaseSpec, velocity: Array) -> Velocity:
-    """Commands with which a robot that only drives ahead and turns follows a velocity [2] [m/s]."""
+    """Return commands with which a robot that only drives ahead and turns follows a velocity [2] [m/s]."""
     speed = float(np.hypot(*velocity))
     if speed < 0.05:
         return Velocity(0.0, 0.0, "wait")
@@ -105,18 +105,18 @@ def _among_people(view: AgentView, base: BaseSpec, *, forces: bool) -> Velocity:
 
 
 def orca(view: AgentView, base: BaseSpec) -> Velocity:
-    """Reciprocal avoidance (`sim_kinematic.crowd.orca`): the robot makes the whole change itself."""
+    """Avoid people reciprocally (`sim_kinematic.crowd.orca`): the robot makes the whole change itself."""
     return _among_people(view, base, forces=False)
 
 
 def social_force(view: AgentView, base: BaseSpec) -> Velocity:
-    """Social force (`sim_kinematic.crowd.social_force`) with the same guard as people have."""
+    """Follow social forces (`sim_kinematic.crowd.social_force`) with the same guard as people have."""
     return _among_people(view, base, forces=True)
 
 
 @kernel(error_model="numpy")
 def roll_plans(sdf, origin, cell, pose, plans, limits, discs, radius, people, velocities, reach, comfort, piece):
-    """Costs [N] of plans by their nearness to people and walls, and where they end (x, z, heading) [N, 3].
+    """Return the costs [N] of plans by their nearness to people and walls, and where they end (x, z, heading) [N, 3].
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -194,12 +194,12 @@ _WINDOW = np.repeat(np.array([(speed, turn) for speed in SPEEDS for turn in TURN
 
 
 def dwa(view: AgentView, base: BaseSpec) -> Velocity:
-    """Dynamic window (Fox et al. 1997): the best of 63 constant commands over the next 0.8 s."""
+    """Choose by the dynamic window (Fox et al. 1997): the best of 63 constant commands over the next 0.8 s."""
     return _best_plan(view, base, _WINDOW[:, : round(WINDOW_S / PIECE_S)])
 
 
 def mpc(view: AgentView, base: BaseSpec) -> Velocity:
-    """Sampling model-predictive control: the best of sampled plans that change their command once."""
+    """Choose by sampling model-predictive control: the best of sampled plans that change their command once."""
     rng = generator(view.seed, "crowd_mpc", world=view.agent, step=view.step)
     ends = np.stack([rng.uniform(SPEEDS[0], 1.0, (SAMPLES, 2)), rng.uniform(-1.0, 1.0, (SAMPLES, 2))], -1)
     late = np.arange(_PIECES)[None] >= rng.integers(1, _PIECES, (SAMPLES, 1))

@@ -76,7 +76,7 @@ class ScenarioCodec(TaskCodec):
         return load_cards()[episode.extra["card"]].text
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
-        """Episode of a record, in its plan where it has one."""
+        """Return the episode of a record, in its plan where it has one."""
         if record.extra.get("where") == "plan":
             kind, spec = load_cards()[choose_cards(record.extra["card"])[0]].place, place.spec
             place = replace(
@@ -174,7 +174,7 @@ class Scenarios(CrowdNav):
         return {**super().begin(play, rows), **more, "passed": np.zeros((len(zeros), people), np.bool_)}
 
     def goals(self, play: WorldRollout) -> Any:
-        """Place where the robot of each world should be now [W, 2] [m]: it moves with people in some modes."""
+        """Return the place where the robot of each world should be now [W, 2] [m]: it moves with people in some modes."""
         goals = play.extra("goal")
         own = play.world.state.agents[0].xz
         for w, episode in enumerate(play.episodes):
@@ -198,7 +198,7 @@ class Scenarios(CrowdNav):
         return goals
 
     def moved_goals(self, play: WorldRollout) -> Any:
-        """Place where the robot of each world should be after a step [W, 2] [m]."""
+        """Return the place where the robot of each world should be after a step [W, 2] [m]."""
         return self.goals(play)
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
@@ -242,7 +242,7 @@ class Scenarios(CrowdNav):
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Sensors of `CrowdNav`, and for robots ``gesture``: 1 if a person signs them to wait, 2 to proceed, otherwise 0."""
+        """Return the sensors of `CrowdNav`, for robots also ``gesture``: 1 if a person signs to wait, 2 to proceed, else 0."""
         more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
         return {**super().sensors(kind), **more}
 
@@ -285,12 +285,12 @@ def _gesture(moment: Any) -> Any:
 
 
 def _offset(xz: Array, heading: Any, other: Array) -> Array:
-    """Place of another (along, right) [2] [m] as seen from somebody."""
+    """Return the place of another (along, right) [2] [m] as seen from somebody."""
     return np.asarray(axes_of(np.asarray(heading)) @ (other - xz))
 
 
 def _looking(frame: Frame, point: Array, towards: Array) -> tuple[float, float, float]:
-    """Start (x, z, heading) at a point of a frame, with the view to another one."""
+    """Return the start (x, z, heading) at a point of a frame, with the view to another one."""
     here, there = frame.to_world(point), frame.to_world(towards)
     gap = there - here
     return float(here[0]), float(here[1]), float(np.arctan2(-gap[1], gap[0]))

@@ -59,7 +59,7 @@ class ScriptedPerson:
         )
 
     def act(self, view: AgentView) -> PoseAction:
-        """Place after the next step."""
+        """Return the place after the next step."""
         if self._role == "stand":
             return PoseAction(view.xz.copy(), view.heading)
         self._time, self._robot = view.step * STEP_S, view.places[0, :2].copy()

@@ -44,7 +44,7 @@ PASSING_M, EDGE_M = 0.95, 0.25
 
 @kernel(error_model="numpy")
 def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
-    """Return the wanted velocity (x, z) [m/s] of a group's member: parallel to the common path where there is room."""
+    """Return the wanted velocity (x, z) [m/s] of a member of a group: parallel to the path of all where it has room."""
     ax, az = point_along(path, cumulative, along)
     tx, tz = point_along(path, cumulative, min(along + AHEAD_M, cumulative[-1]))
     aside = min(math.hypot(x - ax, z - az), ASIDE_M) / max(math.hypot(x - ax, z - az), 1e-6)
@@ -60,7 +60,7 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 
 @kernel(error_model="numpy")
 def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, unparted):
-    """Return the wanted velocity (x, z) [m/s] of person ``m`` with the forces of their group, from their own ``(wx, wz)``.
+    """Return the wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)``, with the forces of their group.
 
     The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
     0.3 m, and members nearer than 0.8 m repel each other. A force counts as the change of velocity within ``tau`` [s].

@@ -34,11 +34,12 @@ AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
 """Distances from people who stand by which paths go around them: the second where the first leaves no way; least distances of a
 place to which people back out from everybody near, and from the paths of those; distance within which people are near, and
 length of these paths [m]."""
-VERSION = 4
+VERSION = 5
 """Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
 conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
 somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
-slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`)."""
+slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`).
+Up to version 4, every place near a wall counts as narrow, and people give way later and more slowly."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""

@@ -106,7 +106,7 @@ def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
 
 @kernel(error_model="numpy")
 def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
-    """Return the velocity (x, z) [m/s] of a person who reacts, and who otherwise wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
 
     Args:
         reaction: Row of `TABLE`.

@@ -10,7 +10,7 @@ from sim_kinematic.motion.step import wrap_angle
 
 @kernel(error_model="numpy")
 def interaction(px, pz, vx, vz, lambda_, gamma, n, n_prime):
-    """Return the acceleration by one neighbour, before it is weighted.
+    """Return the acceleration by one neighbour, before it is weighed.
 
     It slows down against the direction of the interaction, which is that to the neighbour turned by the relative velocity,
     and turns aside, both falling exponentially with the distance.

@@ -59,7 +59,7 @@ def reach_between(m, j, px, pz, radii, body):
 
 @kernel(error_model="numpy")
 def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
-    """Return whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no path.
+    """Return whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
 
     Args:
         xz: Positions of the people [M, 2] [m].
@@ -87,12 +87,28 @@ def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
 
 
 @kernel(error_model="numpy")
-def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
-    """Return the distance along the path [m] of the first narrow place after ``along``, -1 if none is ``within`` [m]."""
+def is_narrow(sdf, origin, cell, x, z, narrow, beside):
+    """Return whether two people cannot pass each other at a place.
+
+    With ``beside``, it is not narrow if there is room where it is wider: shortest paths lead along walls, also in wide rooms.
+    """
+    missing = narrow - sample_sdf(sdf, origin, cell, x, z)
+    if missing <= 0.0 or not beside:
+        return missing > 0.0
+    gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+    steep = max(math.hypot(gx, gz), 1e-9)
+    # a little farther, as distances of the grid are interpolated
+    missing += 0.02
+    return sample_sdf(sdf, origin, cell, x + gx / steep * missing, z + gz / steep * missing) < narrow
+
+
+@kernel(error_model="numpy")
+def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within, beside):
+    """Return the distance along the path [m] of the first narrow place from ``along`` on; -1: none is near (``within`` [m])."""
     at = along
     while at <= min(along + within, cumulative[-1]):
         x, z = point_along(path, cumulative, at)
-        if sample_sdf(sdf, origin, cell, x, z) < narrow:
+        if is_narrow(sdf, origin, cell, x, z, narrow, beside):
             return at
         at += AHEAD_M
     return -1.0
@@ -100,16 +116,16 @@ def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
 
 @kernel(error_model="numpy")
 def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims, step, rules):
-    """Store in ``claims`` [M, 6], in place, who is in or before a narrow place.
+    """Note in ``claims`` [M, 6] who is in or before a narrow place, in place.
 
     A row holds the step in which the person came there (0: nowhere), the place (x, z) where it begins for them, the direction
     in which they pass it, and whether they are in it.
     """
-    narrow, wait = rules[5], rules[6]
+    narrow, wait, beside = rules[5], rules[6], rules[18] > 4.0
     for m in range(len(xz)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
-        inside = sample_sdf(sdf, origin, cell, xz[m, 0], xz[m, 1]) < narrow
-        at = along[m] if inside else find_narrow(sdf, origin, cell, path, cumulative, along[m], narrow, wait)
+        inside = is_narrow(sdf, origin, cell, xz[m, 0], xz[m, 1], narrow, beside)
+        at = along[m] if inside else find_narrow(sdf, origin, cell, path, cumulative, along[m], narrow, wait, beside)
         if at < 0.0 or counts[m] < 2:
             claims[m, 0] = 0.0
             continue
@@ -126,7 +142,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 @kernel(error_model="numpy")
 def first_through(claims, company, m, wait):
-    """Return the number of the person who passes a narrow place before person ``m`` in the opposite direction, or -1."""
+    """Return the number of the person who passes a narrow place before person ``m`` the opposite way; -1: nobody does."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -161,7 +177,7 @@ def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, dec
 
 @kernel(error_model="numpy")
 def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, their_lengths, their_along, inside, rules):
-    """Return the velocity (x, z) [m/s] of a person who lets another pass: off their path, or back out of the passage."""
+    """Return the velocity (x, z) [m/s] of somebody who gives way: off the other's path, or back out of the passage."""
     if inside:
         tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
         distance = math.hypot(tx - x, tz - z)
@@ -295,6 +311,9 @@ def choose_velocity(
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
+                share = rules[22]
+            elif j < len(body) and firsts[m] == j and not forces:
+                share = 1.0 - rules[22]
         # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
@@ -442,7 +461,7 @@ def step_crowd(
         step: Number of the step.
         dt: Duration of a step [s].
     """
-    decel, unblocked = limits[1], rules[22] > 0.0
+    decel, unblocked = limits[1], rules[18] > 3.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
@@ -489,7 +508,7 @@ def step_crowd(
             elif company[m] >= 0:
                 wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
                 wx, wz = keep_company(
-                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 0.0, unblocked
+                    sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 1.0, unblocked
                 )
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1

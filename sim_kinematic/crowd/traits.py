@@ -52,30 +52,34 @@ class CrowdSpec:
     """Social force: angular range of an interaction for slowing down."""
     n_prime: float = 3.0
     """Social force: angular range of an interaction for turning aside."""
-    company_in_sight: bool = True
-    """True if members of a walking group stay together with visible members, and walk on at least slowly."""
+    version: int = 4
+    """Version of the rules (`sim_kinematic.crowd.crowd.VERSION`). From 2 on, people of a walking group keep together only with
+    those whom they see, and go on at least slowly. From 4 on, people who should go back walk on where nothing of their path is
+    behind them, and members of a walking group do not pull at each other while somebody else is between them. From 5 on, a
+    place beside a wall is narrow only if there is no more room beside it either (`sim_kinematic.crowd.step.is_narrow`)."""
     way_horizon_s: float = 2.0
     """Time within which `orca` avoids a collision with somebody who gives way to the person [s]."""
     aside_mps: float = 0.6
     """Speed of people who step aside for others [m/s]."""
     back_mps: float = 0.8
     """Speed of people who go back for others [m/s]."""
-    unblocked: bool = False
-    """True if people who should go back walk on where nothing of their path is behind them, and if members of a walking group
-    do not pull at each other while somebody else is between them."""
+    way_share: float = 0.5
+    """Share of the change of velocity that `orca` expects of people to whom somebody gives way; that one makes the rest."""
 
     @classmethod
     def of_version(cls, version: int, *, wary: bool = False) -> CrowdSpec:
-        """Return the constants of a version of the rules (`sim_kinematic.crowd.crowd.VERSION`).
+        """Return the constants of a version of the rules.
 
-        People who are ``wary`` keep the horizons and speeds of version 2.
+        People who are ``wary`` keep the horizons and speeds of version 2, and find narrow places as in version 4.
         """
-        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1)
-        return replace(cls() if wary or version < 3 else quick, company_in_sight=version > 1, unblocked=version > 3)
+        if wary or version < 3:
+            return cls(version=min(version, 4))
+        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
+        return quick if version < 5 else replace(quick, wait_m=2.8, aside_mps=1.3, back_mps=1.3, way_share=0.1)
 
     @property
     def numbers(self) -> Array:
-        """Values for the kernels, in the order of the fields."""
+        """Numbers that the kernels take, in the order of the fields."""
         return np.array(astuple(self))
 
 

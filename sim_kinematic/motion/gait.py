@@ -43,7 +43,7 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
 
 @kernel(error_model="numpy")
 def step_cycle(distance, set_off, blend, walked, rate):
-    """Return ``(distance, set_off, blend)`` of one person after a step of length ``walked`` [m], negative backwards.
+    """Return ``(distance, set_off, blend)`` of one person after a step in which they ``walked`` so far [m], negative backwards.
 
     At a blend above 0.5 one foot stands (`h3data.bodies.people.kernels.legs.settle`), so a walk begins there.
     """
@@ -173,5 +173,5 @@ def _disc(speed_mps: float, turn_rad_s: float, radius_m: float, backwards: bool)
 
 
 def cycle_phase(clip: Clip, distance: NDArray[np.float64], set_off: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return phases [...], 0..1, of a walking clip, from the distances walked in total and where the walk began [...] [m]."""
+    """Return the phases [...], 0..1, of a walking clip at distances walked in all and where the walk began [...] [m]."""
     return (clip.start_phase + (distance - set_off) / clip.stride_m) % 1.0

@@ -39,7 +39,9 @@ class _Arrays:
 
     def take(self, worlds: Worlds) -> Self:
         """Return the state of some of the worlds."""
-        return type(self)(**{name: array[worlds] for name, array in vars(self).items()})
+        # numbers of rows take a few of them in half the time of indexing
+        numbers = isinstance(worlds, np.ndarray) and worlds.dtype == np.intp
+        return type(self)(**{name: a.take(worlds, 0) if numbers else a[worlds] for name, a in vars(self).items()})
 
     def put(self, worlds: Worlds, other: Self) -> None:
         """Overwrite some of the worlds by all those of ``other``, or by its only one."""
@@ -69,7 +71,7 @@ class RobotState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
-        """Return robots at the origin."""
+        """Return the state of robots at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)),
             heading=np.zeros(worlds),

@@ -96,7 +96,7 @@ def progress_along(path, cumulative, along, x, z):
 
 @kernel(error_model="numpy")
 def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
-    """End of a step from (x, z) towards (nx, nz) that keeps ``radius`` from obstacles and is at most ``most`` [m] long.
+    """Return the end of a step from (x, z) towards (nx, nz), at most ``most`` [m] long, ``radius`` away from obstacles.
 
     Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
     """

@@ -90,8 +90,8 @@ class Crowds:
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
-        self._order: dict[CrowdModel, NDArray[np.intp]] = {}
-        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others."""
+        self._order: dict[CrowdModel, tuple[NDArray[np.intp] | slice, NDArray[np.intp] | slice]] = {}
+        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these."""
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
         """Stations that people have."""
@@ -135,13 +135,16 @@ class Crowds:
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))
-            self._order[model] = np.array(own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k)))
-        crowd, order = self._crowds[model], self._order[model]
+            order = own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k))
+            # where all people follow one model, views: sorting the rows takes longer than looking at them
+            every = slice(None), slice(0, len(own))
+            self._order[model] = every if order == list(discs) else (np.array(order), np.array(own))
+        crowd, (order, own) = self._crowds[model], self._order[model]
         places, headings = crowd.step(
-            moment.places[w][order],
-            moment.before[w][order],
-            moment.heading[w][order[: len(members)] + robots],
-            moment.radii[order],
+            moment.places[w, order],
+            moment.before[w, order],
+            moment.heading[w, robots:][own],
+            moment.radii[order].copy(),
             moment.robots[w],
             len(moment.radii) - all_people,
             self._step,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import sim_kinematic.contact
 from h3data.errors import InputError, SceneError
-from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_matrix, transform_points
+from h3data.geometry import normalized, quat_from_axis_angle, quat_from_heading, quat_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
@@ -143,6 +143,25 @@ def test_capsules_are_where_their_ends_are():
         np.testing.assert_allclose(
             transform_points(frames[k], np.stack([shape.start, shape.end])), [start[k], end[k]], atol=1e-12
         )
+
+
+@pytest.mark.parametrize("shape", [(3,), (0, 3), (24, 3), (5, 24, 3)])
+def test_frames_of_capsules_have_the_bits_of_numpys_formulas(shape: tuple[int, ...]):
+    rng = np.random.default_rng(len(shape))
+    for length in (0.0, 1e-9, 0.3, 2.0):
+        start, way = rng.normal(size=(2, *shape))
+        # along an axis, for which the choice of the second axis matters
+        way[..., : rng.integers(3)] = 0.0
+        end = start + length * way
+        y = normalized(end - start)
+        y = np.where(y.any(-1, keepdims=True), y, np.array([0.0, 1.0, 0.0]))
+        helper = np.where(np.abs(y[..., :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+        z = normalized(np.cross(helper, y))
+        middle = (start + end) / 2
+        expected = np.concatenate([np.stack([np.cross(y, z), y, z, middle], -1), np.zeros((*shape[:-1], 1, 4))], -2)
+        expected[..., 3, 3] = 1.0
+        assert capsule_transforms(start, end).tobytes() == expected.tobytes()
+        assert capsule_transforms(start.astype(np.float32), end).shape == expected.shape
 
 
 def test_contact_normal_points_from_a_to_b_whichever_side_fcl_puts_first():

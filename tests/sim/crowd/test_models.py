@@ -9,9 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from benchmarks.people import hall
+from h3data.scene import FreeSpace
 from h3data_social.people.profile import social_force
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
 from sim_kinematic.crowd.social_force import interaction
+from sim_kinematic.crowd.step import is_narrow
 from sim_kinematic.crowd.traits import CrowdSpec, sample_traits
 
 metres = st.floats(-4.0, 4.0)
@@ -100,6 +103,24 @@ def test_a_force_slows_down_and_turns_away_from_the_side_of_the_neighbour():
     assert fz < 0.0
     far, _ = interaction(4.0, 0.2, 1.0, 0.0, *FORCE)
     assert abs(far) < abs(fx)
+
+
+def test_places_are_narrow_where_two_cannot_pass_and_not_beside_a_wall_of_a_hall():
+    free = FreeSpace.from_scene(hall(6.0, 1.0), cache=False)
+    wide = FreeSpace.from_scene(hall(6.0, 1.4), cache=False)
+    grids = [(floor.sdf, floor.origin, floor.cell_m) for floor in (free, wide)]
+    for z in (0.25, 0.32, 0.4, 0.45, 0.52, 0.6, 0.7):
+        assert is_narrow(*grids[0], 3.0, z, 0.55, True), "0.5 m from both walls at most"
+        assert is_narrow(*grids[1], 3.0, z, 0.55, False) == (z < 0.55)
+        assert not is_narrow(*grids[1], 3.0, z, 0.55, True), "who walks here can go aside to the middle"
+
+
+def test_constants_of_earlier_versions_stay():
+    kept = {1: (2.0, 1.2, 2.0, 0.6, 0.8), 3: (1.2, 1.2, 0.7, 1.0, 1.1), 4: (1.2, 1.2, 0.7, 1.0, 1.1)}
+    for version, numbers in kept.items():
+        assert tuple(CrowdSpec.of_version(version).numbers[[0, 6, 19, 20, 21]]) == numbers
+    assert CrowdSpec.of_version(5, wary=True) == CrowdSpec.of_version(4, wary=True), "groups decide as before"
+    assert CrowdSpec.of_version(5) != CrowdSpec.of_version(4)
 
 
 def test_people_differ_and_are_the_same_again():
