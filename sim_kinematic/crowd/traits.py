@@ -75,7 +75,7 @@ class CrowdSpec:
         if wary or version < 3:
             return cls(version=min(version, 4))
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
-        return quick if version < 5 else replace(quick, wait_m=2.8, aside_mps=1.3, back_mps=1.3, way_share=0.1)
+        return quick if version < 5 else replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1)
 
     @property
     def numbers(self) -> Array:
