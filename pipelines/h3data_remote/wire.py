@@ -41,7 +41,7 @@ class Codec:
         self._unpack_array = unpack_array
 
     def pack(self, message: Any) -> bytes:
-        """Return bytes of a message of maps, lists, text, numbers and arrays.
+        """Return the bytes of a message of maps, lists, text, numbers and arrays.
 
         Raises:
             PolicyServerError: it is larger than `MOST_BYTES`.

@@ -344,7 +344,7 @@ class LiveGame:
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """Store that the clock of the game has skipped some steps."""
+        """Note that the clock of the game has skipped some steps."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
