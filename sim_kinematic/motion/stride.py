@@ -144,7 +144,7 @@ def stride_step(
     to_end = math.hypot(end_x - x, end_z - z)
     room = sample_sdf(sdf, origin, cell, x, z) - radius
     ahead = min(0.3 + max(room, 0.0), look)
-    if keeps_to_path:  # to each way point in turn, even where the path folds back
+    if keeps_to_path:  # to each waypoint in turn, even where the path folds back
         k = next_waypoint_index(cumulative, along)
         if k < len(path) - 1 and math.hypot(path[k, 0] - x, path[k, 1] - z) <= max(v * dt, arrive / 4.0):
             along = cumulative[k]

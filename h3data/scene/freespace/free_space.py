@@ -232,7 +232,7 @@ class FreeSpace(FloorMap):
     ) -> NDArray[np.float64]:
         """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN when there is no path.
 
-        With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
+        With ``beyond_m`` waypoints nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
         """
         return self.first_leg(a, b, beyond_m=beyond_m, max_snap_m=max_snap_m)[1]
 

@@ -158,7 +158,7 @@ def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Way points of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
+    """Waypoints of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]
     steps = 0
