@@ -250,8 +250,8 @@ class World:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
-            InputError: there is not one command for each agent, or one has another shape or is not finite; then nothing
-                has moved.
+            InputError: the number of commands is not the number of agents, or one has another shape or is not finite; then
+                nothing has moved.
         """
         commands = self._checked(commands)
         for before, now in self._moments:

@@ -27,7 +27,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """Parse ``"1280x720"`` as width and height [px].
 
     Raises:
-        InputError: it is no size, or a side is 0 or above `MAX_SIDE_PX`.
+        InputError: the text is not a size, or a side is 0 or above `MAX_SIDE_PX`.
     """
     sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     width, height = (int(side) for side in sides.groups()) if sides else (0, 0)

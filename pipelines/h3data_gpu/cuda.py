@@ -48,7 +48,7 @@ def resolve_device(device: str | torch.device | None) -> torch.device:
     """Return the CUDA device, including its index; the current one for None.
 
     Raises:
-        InputError: there is no CUDA device, or ``device`` is not one.
+        InputError: the machine has no CUDA device, or ``device`` does not name one.
     """
     import torch
 

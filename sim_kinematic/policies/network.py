@@ -208,7 +208,7 @@ def load_network(path: str | Path) -> Network:
 
     Raises:
         InputError: There is no such file.
-        FormatError: The file is no file of weights, is damaged, or its layers do not fit together.
+        FormatError: The file is not a file of weights, is damaged, or its layers do not fit together.
     """
     found, data = read_arrays(Path(path))
     if found != FILE_FORMAT:
@@ -246,7 +246,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
     Raises:
         InputError: There is no such file.
-        FormatError: The file is no file of weights, is too large or damaged.
+        FormatError: The file is not a file of weights, is too large, or is damaged.
     """
     try:
         # before anything is unpacked: a small file may unpack to any size

@@ -122,7 +122,7 @@ class WorldRollout:
         ``measure=False`` leaves out what only rewards need.
 
         Raises:
-            InputError: there is not one policy for each agent.
+            InputError: the number of policies is not the number of agents.
         """
         if len(policies) != len(episode.roster):
             raise InputError(

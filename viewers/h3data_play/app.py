@@ -192,7 +192,7 @@ def find_app(name: str) -> type[App]:
     """Return the app with a name, or ``module:Class``, where the class may also be that of a task.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such app.
     """
     found = _APPS.get(name)
     return type(found.__name__, (App,), {"task": found}) if issubclass(found, Task) else found

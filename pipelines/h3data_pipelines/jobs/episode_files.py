@@ -127,7 +127,8 @@ def file_jobs(
     ``seed`` decides what the file leaves to chance: the starts in Habitat's own files.
 
     Raises:
-        FormatError: damaged. InputError: an option contradicts the file, or none of its episodes can be played.
+        FormatError: the file is damaged.
+        InputError: an option contradicts the file, or none of its episodes can be played.
         SceneError: no scene is found.
     """
     from h3data.recording.task_episodes.episode_files import episode_files

@@ -193,7 +193,7 @@ def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
     of their weights.
 
     Raises:
-        InputError: there is none, or no file matches.
+        InputError: no policy has such a name, or no file matches.
     """
     from sim_kinematic.policies.learned import stamped
 

@@ -483,7 +483,7 @@ def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = Rearra
     """Return the rules that `rules_to_json` wrote; what they do not name is as in the paper.
 
     Raises:
-        InputError: they are none of rearrangement.
+        InputError: the rules are not rules of rearrangement.
     """
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:
