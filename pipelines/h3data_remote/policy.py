@@ -240,7 +240,7 @@ class RemotePolicy:
         Servers that take no batches are asked one after the other.
 
         Raises:
-            PolicyServerError: as `act`.
+            PolicyServerError: as for `act`.
         """
         first = policies[0]
         asking = [

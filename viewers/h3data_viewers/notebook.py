@@ -72,7 +72,7 @@ def show(
         assets: Folders of the files that a foreign recording names.
 
     Raises:
-        InputError: no such viewer or camera.
+        InputError: there is no such viewer or camera.
         MissingExtraError: the Rerun viewer is not installed.
     """
     if viewer not in (None, "rerun", "video"):

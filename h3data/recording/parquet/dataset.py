@@ -214,8 +214,8 @@ class Dataset(DatasetFolder):
         memory; for more than that use `iter_columns` or ``h3data sql``.
 
         Raises:
-            InputError: no such column or episode.
-            FormatError: damaged data.
+            InputError: there is no such column or episode.
+            FormatError: the data are damaged.
         """
         return tables.to_arrow(self, columns=columns, episodes=episodes)
 

@@ -78,7 +78,7 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
     """Return the starts and waypoints in an episode of h3data; None for other episodes.
 
     Raises:
-        FormatError: ours, but damaged or from a newer version.
+        FormatError: an episode of h3data is damaged or from a newer version.
     """
     return read_info_block(episode, TASK, SocialNavEpisode)
 

@@ -241,7 +241,7 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
     """Write the episodes of jobs as a file from which `file_jobs` makes the same jobs; return reasons for left-out ones.
 
     Raises:
-        SceneError: none can be sampled.
+        SceneError: no episode can be sampled.
     """
     from h3data.recording.task_episodes.episode_files import episode_files
     from h3data.recording.task_episodes.rearrange_episode import EpisodeSet

@@ -313,7 +313,7 @@ def make_jobs(
     Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
     Raises:
-        InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
+        InputError: a task, scene, agent or policy does not exist (the message lists what does), or a set has fewer episodes.
     """
     from h3data.scene.open import named_scenes
     from h3data.scene.scene_sets import find_scene_set
@@ -407,7 +407,7 @@ def checked(choices: Choices) -> Choices:
     """Return the choices with learned policies by the digest of their weights, after a check of all names.
 
     Raises:
-        InputError: no such task, agents, policy or body.
+        InputError: there is no such task, agent, policy or body.
     """
     from h3data.bodies import load_humanoid
     from sim_kinematic.agents.roster import HUMAN_BODY, kinds_of, make_roster

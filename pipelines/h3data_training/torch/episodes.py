@@ -68,7 +68,7 @@ class EpisodeBank:
         ``task`` is social navigation by default, and ``spec`` its rules.
 
         Raises:
-            InputError: as `EpisodeSource`, or the task is not of one robot and one person.
+            InputError: as for `EpisodeSource`, or the task does not have exactly one robot and one person.
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:

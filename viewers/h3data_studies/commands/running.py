@@ -187,7 +187,7 @@ def running(folder: Path) -> Iterator[None]:
     """Lock the folder of a study in a block, so that only one process changes it.
 
     Raises:
-        InputError: another one does.
+        InputError: another process has locked the folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("a") as lock:
