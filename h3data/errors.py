@@ -32,7 +32,7 @@ class InputError(H3DataError):
 
 
 class FormatError(InputError):
-    """A file is of another kind than expected, truncated, or written by a newer major version."""
+    """Error about a file that is of another kind than expected, truncated, or written by a newer major version."""
 
 
 class SceneError(H3DataError):
@@ -44,11 +44,11 @@ class MissingAssetError(SceneError):
 
 
 class MissingExtraError(H3DataError):
-    """An optional dependency is not installed; the message names the command that installs it."""
+    """Error about an optional dependency that is not installed; the message names the command that installs it."""
 
 
 class PluginError(H3DataError):
-    """An installed plug-in cannot be used; the message names its package and entry point."""
+    """Error about an installed plug-in that cannot be used; the message names its package and entry point."""
 
 
 class JobStopError(H3DataError):

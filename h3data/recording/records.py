@@ -190,7 +190,7 @@ class Columns(dict[str, NDArray[Any]]):
 
 
 class UnknownColumnError(InputError, KeyError):
-    """A recording has no such column."""
+    """Error about a column that a recording does not have."""
 
     __str__ = Exception.__str__  # a KeyError would quote the sentence
 

@@ -27,7 +27,7 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """A chat endpoint is gone or late, or its answers are meaningless, or a budget is used up."""
+    """Error of a chat endpoint that does not answer in time or not sensibly, or whose budget is used up."""
 
 
 class Address(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 from h3data.errors import FormatError, InputError
 
 MAX_BYTES = 1 << 30
-"""Limit of what the requested members unpack to; real motion files have 1 to 100 MB."""
+"""Largest total size of the requested members after unpacking; real motion files have 1 to 100 MB."""
 
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
 

@@ -24,7 +24,7 @@ _KINDS = "biuf"
 
 
 class PolicyServerError(H3DataError):
-    """A policy server is gone or late, or its answer is not an action."""
+    """Error of a policy server that does not answer in time, or not with an action."""
 
 
 class Codec:

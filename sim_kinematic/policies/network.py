@@ -49,7 +49,7 @@ class Network:
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
     """Numbers that are subtracted from the inputs, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
-    """Divisors of the inputs after that, [in] or [1]; positive."""
+    """Positive numbers by which the inputs are divided after the subtraction of ``mean``, [in] or [1]."""
 
     def __post_init__(self) -> None:
         # here and not in the readers of files, so that networks made by hand or by training are checked too

@@ -42,7 +42,7 @@ BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Text in a policy file."""
+    """Description of a policy, stored as text in its file: its task, its inputs and how it was trained."""
 
     task: str
     robot: str

@@ -77,9 +77,9 @@ class Light:
     headlight: Color = (0.08, 0.08, 0.08)
     """Light from the camera; keeps shapes readable where no other light reaches."""
     horizon: Color = (0.80, 0.85, 0.90)
-    """Background at eye level and below."""
+    """Background colour at eye level and below."""
     zenith: Color = (0.45, 0.60, 0.80)
-    """Background straight up."""
+    """Background colour straight up."""
     occlusion: float = 0.7
     """Strength of the darkening of corners and contacts, 0..1; 0 switches it off at no cost."""
     shadow_rays: int = 0

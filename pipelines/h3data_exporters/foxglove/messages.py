@@ -141,7 +141,7 @@ def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:
 
 
 def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
-    """Return an undistorted pinhole camera."""
+    """Return the Foxglove message of a pinhole camera without distortion."""
     k = np.asarray(camera.intrinsics, np.float64)
     return CameraCalibration(
         timestamp=stamp(time_ns),

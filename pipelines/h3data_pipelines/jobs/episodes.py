@@ -57,7 +57,7 @@ class Job:
     stored: StoredEpisode | None = None
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
-    """Set or file that the episode comes from, and its number there, as in the recording."""
+    """Episode set or file from which the episode comes, and its number there, as in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
@@ -273,7 +273,7 @@ class SampledEpisode:
     """Name of the scene on the command line."""
     source: SceneSource
     origin: dict[str, Any] | None = None
-    """Set that the episode comes from, and its number there."""
+    """Episode set from which the episode comes, and its number in that set."""
 
 
 def check_numbers(

@@ -53,7 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the example."""
+        """Write the files of an example study."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")

@@ -30,7 +30,7 @@ from h3data.kernels import kernel, kernel_part
 WRIST_MAX = math.radians(70.0)
 """Largest angle of a wrist from the direction of the forearm [rad]."""
 NECK_SHARE = 0.4
-"""Share of a turn of the head that the neck does."""
+"""Share of a turn of the head that comes from the neck."""
 
 _SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
