@@ -36,11 +36,11 @@ class FormatError(InputError):
 
 
 class SceneError(H3DataError):
-    """A scene or one of its assets cannot be used."""
+    """Error about a scene that cannot be used, or one of whose assets cannot be used."""
 
 
 class MissingAssetError(SceneError):
-    """A file that a scene or recording refers to is not below any asset root."""
+    """Error about a file that a scene or recording refers to and that is not below any asset root."""
 
 
 class MissingExtraError(H3DataError):
@@ -56,7 +56,7 @@ class JobStopError(H3DataError):
 
 
 class UntrustedNameError(InputError):
-    """A file names code that is neither built in nor installed, and that the user has not trusted."""
+    """Error about a file that names code which is neither built in nor installed, and which the user has not trusted."""
 
 
 def with_code(error: BaseException) -> str:

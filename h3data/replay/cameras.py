@@ -50,7 +50,7 @@ def split_size(name_or_file: str) -> tuple[str, tuple[int, int] | None]:
 
 
 def camera_names(replay: Replay) -> list[str]:
-    """Return names of all cameras that a recording offers."""
+    """Return the names of all cameras that a recording offers."""
     names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
         names.append(THIRD_PERSON)
@@ -71,7 +71,7 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     pictures another size and keeps the field of view (`CameraTrack.resized`).
 
     Raises:
-        InputError: there is no such camera (the message lists those that exist), the file is not a camera, or the size is
+        InputError: there is no such camera (the message lists those that exist), the file does not describe a camera, or the size is
             none.
     """
     name_or_file, size = split_size(name_or_file)

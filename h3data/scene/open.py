@@ -75,7 +75,7 @@ def is_builtin_name(text: str) -> bool:
 
 
 def preset_names() -> list[str]:
-    """Return names of which each stands for one generated scene per seed, such as ``small``."""
+    """Return the names of which each stands for one generated scene per seed, such as ``small``."""
     return [name for generator in scene_generators().values() for name in generator.names]
 
 

@@ -26,7 +26,7 @@ _DYNAMIC_SHARED_BYTES = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 
 
 class GpuError(H3DataError):
-    """A CUDA call failed; the message quotes CUDA's own error text."""
+    """Error of a CUDA call; the message quotes CUDA's own error text."""
 
 
 def gpu_problem() -> str | None:

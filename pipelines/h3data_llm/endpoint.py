@@ -27,7 +27,7 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """Error of a chat endpoint that does not answer in time or not sensibly, or whose budget is used up."""
+    """Error of a chat endpoint: it does not answer in time, its answers are meaningless, or its budget is used up."""
 
 
 class Address(NamedTuple):

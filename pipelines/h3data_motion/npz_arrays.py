@@ -21,7 +21,7 @@ _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSE
 
 
 def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
-    """Return names of the arrays in an npz file.
+    """Return the names of the arrays in an npz file.
 
     Raises:
         FormatError: it is not a zip file.

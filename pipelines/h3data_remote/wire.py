@@ -24,7 +24,7 @@ _KINDS = "biuf"
 
 
 class PolicyServerError(H3DataError):
-    """Error of a policy server that does not answer in time, or not with an action."""
+    """Error of a policy server: it does not answer in time, or its answer is not an action."""
 
 
 class Codec:

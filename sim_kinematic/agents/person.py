@@ -457,7 +457,7 @@ class Person:
         return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """Return poses of the body while a hand moves to a world position [3], in the agent root frame.
+        """Return the poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
         """

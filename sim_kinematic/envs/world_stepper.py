@@ -368,7 +368,7 @@ class WorldStepper:
         return there[int(given[0])]
 
     def choosing(self, world: int = 0) -> tuple[str, ...]:
-        """Return names of the agents with skills whose next action counts in a world."""
+        """Return the names of the agents with skills whose next action counts in a world."""
         now = self.turns[world].choosing if self.turns else []
         return tuple(agent for agent, number in self.numbers.items() if number in now)
 

@@ -271,7 +271,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 
 def policy_names(task: Task, kind: str) -> list[str]:
-    """Return names of the policies that agents of a kind can have in a task, without those of plug-ins."""
+    """Return the names of the policies that agents of a kind can have in a task, without those of plug-ins."""
     common = COMMON[kind] if not task.control.has_skills else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 

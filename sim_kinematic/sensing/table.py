@@ -142,7 +142,7 @@ class Context(Protocol):
         ...
 
     def ahead(self, *, other: bool) -> Any:
-        """Return points that are `AHEAD_M` ahead on the path to each object, [..., K, n, 2] [m].
+        """Return the points that are `AHEAD_M` ahead on the path to each object, [..., K, n, 2] [m].
 
         The path is that of the agent, or with ``other`` that of the other agent.
         """
@@ -493,7 +493,7 @@ STATE_SENSES = (
 
 
 def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:
-    """Return values of a named sensor of an agent.
+    """Return the values of a named sensor of an agent.
 
     Raises:
         InputError: The sensor needs a field that the worlds of the task do not have; the message names task, agent and sensor.

@@ -389,7 +389,7 @@ class MotionTeam(Team):
     def columns(
         self, snapshots: Sequence[list[Sequence[float]]]
     ) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Return columns of robots that drive and of people in motion clips."""
+        """Return the columns of robots that drive and of people in motion clips."""
         # as `snapshot` writes them, [T, n] each
         parts = [np.array(part, np.float64) for part in zip(*snapshots, strict=True)]
         steps, floor = len(snapshots), self.play.episode.free

@@ -133,11 +133,11 @@ class App:
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
-        """Return messages that are sent by one press. If there are any, the page has a box for others too."""
+        """Return the messages that are sent by one press. If there are any, the page has a box for others too."""
         return []
 
     def spots(self) -> list[Spot]:
-        """Return places to which players can bring what they hold, by name."""
+        """Return the places to which players can bring what they hold, by name."""
         return []
 
     def spoken(self, text: str) -> str:

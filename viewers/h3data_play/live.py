@@ -424,7 +424,7 @@ class LiveGame:
         return [point if known else None for known, point in points]
 
     def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
-        """Return messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        """Return the messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
         said = getattr(self.session.play.team, "messages", ())
         name = self.session.episode.roster[number].name if number >= 0 else None
         return [

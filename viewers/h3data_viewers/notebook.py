@@ -166,7 +166,7 @@ def metrics_table_html(table: MetricsTable) -> str:
 
 
 def metrics_html(measured: EpisodeMetrics) -> str:
-    """Return values of the metrics of an episode, and notes on them, as HTML."""
+    """Return the values of the metrics of an episode, and notes on them, as HTML."""
     return _html(tables=[_metrics(measured)])
 
 

@@ -94,7 +94,7 @@ def pose_in_frame(time_ns: int, frame: str, pose: Array) -> PoseInFrame:
 
 
 def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointStates:
-    """Return positions of a robot's joints [rad or m]."""
+    """Return the positions of a robot's joints [rad or m]."""
     joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
     return JointStates(timestamp=stamp(time_ns), joints=joints)
 

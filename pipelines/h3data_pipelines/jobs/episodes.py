@@ -367,7 +367,7 @@ class SampledJobs(Sequence[Job]):
 
 
 def scenes_of(jobs: Sequence[Job]) -> list[str]:
-    """Return names of the scenes, in the order in which they are first played."""
+    """Return the names of the scenes, in the order in which they are first played."""
     return list(dict.fromkeys(job.scene for job in (jobs.one_round if isinstance(jobs, SampledJobs) else jobs)))
 
 

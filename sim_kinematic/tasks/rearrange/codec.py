@@ -138,7 +138,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
-        """Return names of object assets that are not installed, in whose place boxes are used."""
+        """Return the names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         return tuple(episode_files().stand_ins(source, record.objects, record.object_paths))
