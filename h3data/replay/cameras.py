@@ -71,8 +71,7 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     pictures another size and keeps the field of view (`CameraTrack.resized`).
 
     Raises:
-        InputError: there is no such camera (the message lists those that exist), the file does not describe a camera, or the size is
-            none.
+        InputError: there is no such camera (the message lists those that exist), or the file or the size is invalid.
     """
     name_or_file, size = split_size(name_or_file)
     if size is not None:

@@ -308,9 +308,11 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Return episodes in the scenes of ``scenes``: all of a set by default, else 10, in turn.
+    """Return jobs for episodes in the given scenes.
 
-    Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
+    By default all episodes of a set are played, or else 10 episodes in the scenes in turn.
+
+    If ``scenes`` has several names, the scenes of all are used; a set has the same episodes as when it is named alone.
 
     Raises:
         InputError: a task, scene, agent or policy does not exist (the message lists what does), or a set has fewer episodes.
