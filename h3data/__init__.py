@@ -1,16 +1,27 @@
-"""h3data: simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
+"""Simulation of people and robots that share a home, and tools to record, render, measure and inspect what they do.
+
+This example reads the episode that ``h3data demo -o out/demo/`` writes:
 
 ```python
 import h3data
 
-rec = h3data.load_recording("out/demo/episode.mcap")  # a Recording: who, what, every step
-print(rec)                                     # shapes and names, not data
-state = h3data.Replay(rec).at(step=420)        # where everything was
-image = h3data.render_frame(rec, camera="third_person", step=420)["rgb"]
-print(h3data.measure(rec))                     # S, SPS, F, CR, BYR, TD, FD
+rec = h3data.load_recording("out/demo/episode.mcap")  # scene, agents, steps and events of one episode
+print(rec)                                     # a summary: names and array shapes
+state = h3data.Replay(rec).at(step=420)        # poses and joints of all agents at one step
+image = h3data.render_frame(rec, camera="third_person", step=420)["rgb"]  # uint8 [H, W, 3]
+print(h3data.measure(rec))                     # the metrics of the Habitat 3.0 paper
 ```
 
-Everything is imported at first use, so `import h3data` is quick.
+The main functions, by purpose:
+
+- Simulate: `simulate` (one episode), `generate` (a dataset), `session` (step by step), `make` (a training environment).
+- Open: `open` (anything, by name), `load_recording`, `load_dataset`, `load_scene`; `build_home` generates a home.
+- Look: `render_frame`, `rerender` (videos), `view` (Rerun or HTML), `report`.
+- Measure: `measure`, `evaluate` (several policies in the same episodes), `run_benchmark`, `verify_benchmark`.
+- Exchange: `import_`, `export`, `card`, `push`, `pull`, `sync`.
+
+Every error that a user can fix is an `H3DataError`. ``h3data docs python`` shows the guide to these functions. Each name is
+imported at first use, so ``import h3data`` is quick.
 """
 
 from __future__ import annotations

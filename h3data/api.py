@@ -129,7 +129,7 @@ def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | Met
         profile: Name of a profile, such as ``field`` (default: that of the recordings' task).
 
     Raises:
-        InputError: no such profile, or the recordings are of tasks with different metrics.
+        InputError: there is no such profile, or the recordings are of tasks with different metrics.
         UnmeasurableError: the recording, or all of them, lack what every metric needs.
     """
     from h3data import metrics

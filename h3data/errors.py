@@ -32,23 +32,23 @@ class InputError(H3DataError):
 
 
 class FormatError(InputError):
-    """A file is of another kind than expected, truncated, or written by a newer major version."""
+    """Error about a file that is of another kind than expected, truncated, or written by a newer major version."""
 
 
 class SceneError(H3DataError):
-    """A scene or one of its assets cannot be used."""
+    """Error about a scene that cannot be used, or one of whose assets cannot be used."""
 
 
 class MissingAssetError(SceneError):
-    """A file that a scene or recording refers to is not below any asset root."""
+    """Error about a file that a scene or recording refers to and that is not below any asset root."""
 
 
 class MissingExtraError(H3DataError):
-    """An optional dependency is not installed; the message names the command that installs it."""
+    """Error about an optional dependency that is not installed; the message names the command that installs it."""
 
 
 class PluginError(H3DataError):
-    """An installed plug-in cannot be used; the message names its package and entry point."""
+    """Error about an installed plug-in that cannot be used; the message names its package and entry point."""
 
 
 class JobStopError(H3DataError):
@@ -56,7 +56,7 @@ class JobStopError(H3DataError):
 
 
 class UntrustedNameError(InputError):
-    """A file names code that is neither built in nor installed, and that the user has not trusted."""
+    """Error about a file that names code which is neither built in nor installed, and which the user has not trusted."""
 
 
 def with_code(error: BaseException) -> str:

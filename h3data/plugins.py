@@ -120,7 +120,7 @@ def _installed_modules_only() -> Iterator[None]:
 
 
 class PluginWarning(UserWarning):
-    """An installed plug-in is ignored; the others still work."""
+    """Warning about an installed plug-in that is ignored; the others still work."""
 
 
 @dataclass(frozen=True)

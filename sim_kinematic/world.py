@@ -250,8 +250,8 @@ class World:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
-            InputError: there is not one command for each agent, or one has another shape or is not finite; then nothing
-                has moved.
+            InputError: the number of commands is not the number of agents, or one has another shape or is not finite; then
+                nothing has moved.
         """
         commands = self._checked(commands)
         for before, now in self._moments:
@@ -352,14 +352,17 @@ class World:
         return lengths if rows is None else lengths[rows]
 
     def clearance(self, points: Array) -> Array:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return the signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         left = np.empty(points.shape[:-1])
         for free, rows in self.groups:
             left[rows] = free.signed_distance(points[rows])
         return left
 
     def free_along(self, xz: Array, headings: Array, max_m: float) -> Array:
-        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        """Return the distance [W, R] [m] to the nearest obstacle, from places [W, 2] along headings [W, R] [rad].
+
+        It is at most ``max_m``.
+        """
         reach = np.empty(headings.shape)
         for free, rows in self.groups:
             reach[rows] = free.free_along(xz[rows], headings[rows], max_m=max_m)
@@ -373,7 +376,7 @@ class World:
         return self._discs_beside(agent, self.state.agents, legs=legs)
 
     def in_root_frame(self, own: AgentState, points: Array) -> Array:
-        """World points [W, n, 3] in the agent root frames of agents."""
+        """Transform world points [W, n, 3] to the agent root frames of agents."""
         root = ground_pose(own.xz, own.heading, self.heights(own.xz))[:, None]
         return np.asarray(quat_rotate(quat_conjugate(root[..., 3:]), points - root[..., :3]))
 

@@ -101,7 +101,7 @@ def walk_file(path: str) -> bytes:
 
     Raises:
         InputError: there is no such file, or nobody walks in it.
-        FormatError: it is no motion file.
+        FormatError: the file is not a motion file.
     """
     return _reader().walk_file(path)
 

@@ -184,7 +184,7 @@ def compare_runs(
 
 
 def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names that identify the same episode in two runs, one name per row of each table.
+    """Return the names that identify the same episode in two runs, one name per row of each table.
 
     They are the episodes' ids. Where ids repeat, as in evaluations of a robot with several partners, the partner is
     added (``3 with both``); where these repeat too, the policy as well (``3 complement with both``).

@@ -92,7 +92,7 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
     module that the user has trusted (`h3data.plugins.trust`, ``--trust``).
 
     Raises:
-        InputError: as `find_profile`; for a name from ``info`` the message says so.
+        InputError: as for `find_profile`; if ``info`` gives the name, the message says so.
         UntrustedNameError: ``info["profile"]`` is of a module that nobody has trusted.
     """
     if name is not None:
@@ -152,7 +152,7 @@ def measure(recording: Recording, profile: str | None = None) -> EpisodeMetrics:
     """Measure one recording by a profile, by default that of its task. Reads columns only, never a simulator.
 
     Raises:
-        InputError: no such profile, or it does not measure the recording's task.
+        InputError: there is no such profile, or it does not measure the recording's task.
         UnmeasurableError: it needs agents that the recording lacks, or the recording lacks what every metric needs.
     """
     return profile_for(recording.episode.task, recording.episode.info, profile).measure(recording)

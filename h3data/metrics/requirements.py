@@ -14,7 +14,7 @@ OR = " or "
 
 
 class UnmeasurableError(InputError):
-    """A recording lacks agents or data that metrics need."""
+    """Error about a recording that lacks agents or data that metrics need."""
 
     def __init__(self, message: str, reason: str, *, code: str = "") -> None:
         self.reason = reason
@@ -23,7 +23,7 @@ class UnmeasurableError(InputError):
 
 
 class MissingColumnsError(UnmeasurableError):
-    """A recording lacks what every requested metric reads; the message says which metric needs which."""
+    """Error about a recording that lacks the data of every requested metric; the message says which metric needs which data."""
 
     def __init__(self, episode_id: str, needs: Mapping[str, Sequence[str]]) -> None:
         self.needs = {name: tuple(columns) for name, columns in needs.items()}

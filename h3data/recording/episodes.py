@@ -172,7 +172,7 @@ class Episodes(Sequence[Recording]):
         """Write the episodes as a dataset, with the videos of those cameras that all of them have.
 
         Raises:
-            InputError: there are none, or the folder holds something.
+            InputError: there are no episodes to write, or the folder is not empty.
         """
         from h3data.recording.parquet.writer import DatasetWriter
 

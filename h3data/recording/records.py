@@ -172,7 +172,7 @@ class Episode:
     """Program and version that recorded it."""
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
-    """Further information as JSON values: task parameters, start poses, way points, provenance, import warnings."""
+    """Further information as JSON values: task parameters, start poses, waypoints, provenance, import warnings."""
 
     @property
     def is_lerobot_export(self) -> bool:
@@ -190,7 +190,7 @@ class Columns(dict[str, NDArray[Any]]):
 
 
 class UnknownColumnError(InputError, KeyError):
-    """A recording has no such column."""
+    """Error about a column that a recording does not have."""
 
     __str__ = Exception.__str__  # a KeyError would quote the sentence
 

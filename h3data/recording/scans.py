@@ -43,7 +43,7 @@ class Scan(NamedTuple):
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
 
     def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
-        """Return points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m].
+        """Return the points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m].
 
         They are NaN where a ray met nothing.
         """

@@ -124,7 +124,7 @@ def default_layout(header: RecordingHeader | Recording) -> Layout:
 
 
 def required_columns(agents: int) -> set[str]:
-    """Return columns that a `Recording` cannot do without."""
+    """Return the columns that a `Recording` cannot do without."""
     return {"time_ns", "object_pose", *(f"agent_{i}.base_pose" for i in range(agents))}
 
 

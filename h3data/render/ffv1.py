@@ -448,7 +448,7 @@ def read_long(typing_context, at):
 
 @intrinsic
 def lowest_bit(typing_context, number):
-    """Place of the lowest bit of a number above 0."""
+    """Return the place of the lowest bit of a number above 0."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         return b.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))

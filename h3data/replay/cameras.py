@@ -27,7 +27,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """Parse ``"1280x720"`` as width and height [px].
 
     Raises:
-        InputError: it is no size, or a side is 0 or above `MAX_SIDE_PX`.
+        InputError: the text is not a size, or a side is 0 or above `MAX_SIDE_PX`.
     """
     sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
@@ -50,7 +50,7 @@ def split_size(name_or_file: str) -> tuple[str, tuple[int, int] | None]:
 
 
 def camera_names(replay: Replay) -> list[str]:
-    """Return names of all cameras that a recording offers."""
+    """Return the names of all cameras that a recording offers."""
     names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
         names.append(THIRD_PERSON)
@@ -71,8 +71,7 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     pictures another size and keeps the field of view (`CameraTrack.resized`).
 
     Raises:
-        InputError: there is no such camera (the message lists those that exist), the file is not a camera, or the size is
-            none.
+        InputError: there is no such camera (the message lists those that exist), or the file or the size is invalid.
     """
     name_or_file, size = split_size(name_or_file)
     if size is not None:

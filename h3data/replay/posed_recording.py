@@ -437,7 +437,7 @@ def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints |
     """Return the joints of the home whose positions were recorded; None if there are none.
 
     Raises:
-        FormatError: the recording has another number of them than the home.
+        FormatError: the numbers of joints in the recording and in the home differ.
     """
     if scene is None or JOINTS not in recording.columns:
         return None

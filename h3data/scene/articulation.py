@@ -49,7 +49,7 @@ class SceneJoints:
         """Return the number of a joint.
 
         Raises:
-            InputError: there is none of this name.
+            InputError: no joint has this name.
         """
         # the first few names only: a home may have very many drawers
         if name not in self.names:
@@ -149,7 +149,7 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
         positions: Positions of all joints [J] [rad or m], or of some by name; the others stay at rest.
 
     Raises:
-        InputError: another number of positions, an unknown name, or a number that is not finite.
+        InputError: the number of positions is wrong, a joint's name is unknown, or a position is not finite.
     """
     joints = joints_of(scene)
     wanted = joints.rest.copy()

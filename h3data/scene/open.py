@@ -54,8 +54,8 @@ def named_scenes(
     installed package reads. A ``.scene_dataset_config.json`` of Habitat is all its scenes, followed by ``#name`` one of them.
 
     Raises:
-        InputError: none of these; the message lists what there is.
-        FormatError: a set with faults.
+        InputError: there is no such scene; the message lists those that exist.
+        FormatError: the file of a scene set has errors.
     """
     found = _named(text, homes)
     folders = tuple(str(folder) for folder in assets)
@@ -75,7 +75,7 @@ def is_builtin_name(text: str) -> bool:
 
 
 def preset_names() -> list[str]:
-    """Return names of which each stands for one generated scene per seed, such as ``small``."""
+    """Return the names of which each stands for one generated scene per seed, such as ``small``."""
     return [name for generator in scene_generators().values() for name in generator.names]
 
 

@@ -64,7 +64,7 @@ def read_results(folder: Path) -> SeedResults:
     """The results in a folder ``RUN.SEED`` of a finished evaluation.
 
     Raises:
-        FormatError: there is no table of ``h3data evaluate``, or it is of another task.
+        FormatError: the folder has no table of ``h3data evaluate``, or the table is of another task.
     """
     run, _, seed = folder.name.rpartition(".")
     try:
@@ -141,7 +141,7 @@ def markdown(out: Path) -> str:
     """The tables of all folders ``WALK/RUN.SEED`` in a folder, those of unfinished evaluations left out and named.
 
     Raises:
-        InputError: there is none.
+        InputError: no evaluation in the folder is finished.
     """
     blocks, unfinished = [], []
     for walk, title in WALKS.items():

@@ -26,7 +26,7 @@ _DYNAMIC_SHARED_BYTES = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 
 
 class GpuError(H3DataError):
-    """A CUDA call failed; the message quotes CUDA's own error text."""
+    """Error of a CUDA call; the message quotes CUDA's own error text."""
 
 
 def gpu_problem() -> str | None:
@@ -48,7 +48,7 @@ def resolve_device(device: str | torch.device | None) -> torch.device:
     """Return the CUDA device, including its index; the current one for None.
 
     Raises:
-        InputError: there is no CUDA device, or ``device`` is not one.
+        InputError: the machine has no CUDA device, or ``device`` does not name one.
     """
     import torch
 

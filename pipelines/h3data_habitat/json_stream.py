@@ -17,7 +17,7 @@ _SPACE = b" \t\r\n"
 
 
 class ArrayFault(Exception):
-    """The array is incomplete, or an element is too long. ``at``: byte of the document."""
+    """Error about an array that is incomplete, or has an element that is too long. ``at``: byte of the document."""
 
     def __init__(self, text: str, at: int) -> None:
         super().__init__(text)

@@ -147,7 +147,7 @@ def thing_words(home: Home, thing: str, start: Place | None, *, stays: bool = Fa
 
 # --- propositions -----------------------------------------------------------------------------------------------------
 def clause_parts(clause: str) -> tuple[int, str, list[list[str]]]:
-    """Count (0: all), verb and lists of slots of a clause."""
+    """Return the count (0: all), the verb and the lists of slots of a clause."""
     first, *rest = clause.split()
     number = int(first) if first.isdigit() else 0
     verb, *slots = rest if number else (first, *rest)

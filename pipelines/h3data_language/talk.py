@@ -36,7 +36,7 @@ def say(kind: str, *names: str, to: str = "") -> Message:
     """Return the message with a structured meaning, to one agent or to all.
 
     Raises:
-        InputError: there is no such intent, or it has another number of names.
+        InputError: there is no such intent, or it takes a different number of names.
     """
     if INTENTS.get(kind) != len(names) or any(not name or name.split() != [name] for name in names):
         raise InputError(

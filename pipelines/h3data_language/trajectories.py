@@ -30,7 +30,7 @@ def entry_of(recording: Recording, entries: Sequence[FileEntry]) -> FileEntry:
     """Find the episode that an imported session played, by its id and scene.
 
     Raises:
-        InputError: there is none, or it has no propositions.
+        InputError: no episode matches, or the episode has no propositions.
     """
     told = recording.episode.info.get("episode")
     told = told if isinstance(told, Mapping) else {}

@@ -205,9 +205,9 @@ def verify_homes(
 ) -> Verification:
     """Play the episodes of some homes in rounds, until each home has its tasks; ``out`` gets a file for each episode.
 
-    An episode that is no task, or is not completed, makes room for the next of its home. A home has fewer tasks than numbers if
-    `TRIES` episodes in sequence are none. Episodes that have a file already are not played again. The options are those of
-    `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+    An episode that is not a task, or is not completed, is replaced by the next one of its home. A home gets fewer tasks than
+    requested if `TRIES` episodes in sequence fail. Episodes that have a file already are not played again. The options are
+    those of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
     """
     check_options(resume=resume, force=force, workers=workers, executor="local")
     results: dict[tuple[str, int], dict[str, Any]] = {}

@@ -21,7 +21,7 @@ _TINT = 0.55
 
 
 def shown_light(irradiance: Any, mean: Any, xp: Any = np) -> Any:
-    """Appearance of irradiance [..., 3] in a home with this ``mean``: light on a white surface, linear RGB [..., 3].
+    """Compute how irradiance [..., 3] appears in a home with this ``mean``: light on a white surface, linear RGB [..., 3].
 
     ``xp`` is the namespace of the arrays: NumPy or PyTorch.
     """

@@ -21,7 +21,7 @@ _AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class BudgetSpentError(LanguageModelError, JobStopError):
-    """The budget of a job is used up: there are no more requests, and no further episode begins."""
+    """Error about a job whose budget is used up: there are no more requests, and no further episode begins."""
 
 
 class _Limits(msgspec.Struct, forbid_unknown_fields=True):

@@ -31,7 +31,7 @@ class LlmShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line per answer."""
+        """Return a table with a row for each answer of a language model."""
         from h3data.recording.finding import find_episodes
         from h3data_llm.replies import models_in
         from h3data_llm.use import ModelUse
@@ -77,7 +77,7 @@ class LlmAgain:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line per language model."""
+        """Compare the answers and return a table with a row for each language model."""
         from h3data.recording.finding import find_episodes
         from h3data_llm.replies import played_again
 

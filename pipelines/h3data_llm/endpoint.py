@@ -27,7 +27,7 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """A chat endpoint is gone or late, or its answers are meaningless, or a budget is used up."""
+    """Error of a chat endpoint: it does not answer in time, its answers are meaningless, or its budget is used up."""
 
 
 class Address(NamedTuple):
@@ -58,7 +58,7 @@ class Address(NamedTuple):
         """Return the address in a text.
 
         Raises:
-            InputError: it is no address, holds a user, a password or a key, or an option is out of range.
+            InputError: the text is not an address, or contains a user, a password or a key, or an option is out of range.
         """
         parts = _split(text.removeprefix("llm:"))
         if "@" in parts.netloc:
@@ -127,7 +127,7 @@ class Endpoint(Protocol):
         """Return the answer to the body of a request.
 
         Raises:
-            LanguageModelError: there is none.
+            LanguageModelError: the server gives no valid answer.
         """
         ...
 

@@ -64,7 +64,7 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
         spec: Its rules, where a job is checked before it begins: then somebody must listen at the address.
 
     Raises:
-        InputError: it is no address, agents have no skills in the task, or the file of the budget holds none.
+        InputError: the address is invalid, agents have no skills in the task, or the budget file has no budget.
         LanguageModelError: nobody answers.
     """
     if not task.control.has_skills:

@@ -29,7 +29,7 @@ def models_in(recording: Recording) -> list[RecordedModel]:
     """Return the language models of a recording, with their answers.
 
     Raises:
-        InputError: there is none, or its entry is malformed.
+        InputError: the recording names no language model, or its entry is malformed.
     """
     told = recording.episode.info.get("llm")
     if not told:
@@ -73,7 +73,7 @@ class RecordedEndpoint:
         """Return the next recorded answer.
 
         Raises:
-            LanguageModelError: there is none left.
+            LanguageModelError: all recorded answers have been used.
         """
         del body
         if not self._left:

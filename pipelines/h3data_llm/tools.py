@@ -175,7 +175,7 @@ def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode
         mode: ``tools`` or ``text``.
 
     Raises:
-        LanguageModelError: there is none, or its tool or an argument is wrong; the sentence is for the model too.
+        LanguageModelError: the answer has no call, or the tool or an argument is wrong; the message is meant for the model too.
     """
     content, calls = message.get("content"), message.get("tool_calls")
     if mode == "text":

@@ -20,7 +20,7 @@ _COMMENT = re.compile(r"(^|\s)(#|//).*")
 
 
 class BvhWarning(UserWarning):
-    """A file has one frame more or less than it says, as some programs write it."""
+    """Warning about a file with one frame more or less than it states, as some programs write it."""
 
 
 @dataclass(frozen=True, kw_only=True)

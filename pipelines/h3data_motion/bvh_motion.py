@@ -110,7 +110,7 @@ def load_name_table(name: str | Path) -> NameTable:
     """Return a built-in table (one of `BUILTIN_TABLES`) or one in a TOML file.
 
     Raises:
-        InputError: there is none, or it is not a table; the message says what is wrong.
+        InputError: the table does not exist or is malformed; the message says what is wrong.
     """
     path = builtin_path(f"motion_names/{name}.toml") if str(name) in BUILTIN_TABLES else Path(name)
     if not path.is_file():

@@ -87,7 +87,7 @@ class Motion:
         return normalized(mixed), self.pelvis[lower] + share[:, None] * (self.pelvis[upper] - self.pelvis[lower])
 
     def resampled(self, fps: float) -> Motion:
-        """Return the motion with another number of frames per second."""
+        """Return the motion with a different number of frames per second."""
         if not 0 < fps < 1e4:
             raise InputError(f"Expected frames per second above 0 and below 10000, got {fps}.", code="H3-BODY-041")
         quats, pelvis = self.pose(np.arange(int(self.duration_s * fps + 1e-6) + 1) / fps)

@@ -105,7 +105,7 @@ def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
     """Return the body with a motion's cycle as its gait.
 
     Raises:
-        InputError: there is no cycle of walking in it that could be played.
+        InputError: the motion has no walking cycle that can be played.
     """
     clip = trim_to_cycle(motion, body)
     gaits = {field.name: getattr(body.gaits, field.name) for field in fields(Gaits)}

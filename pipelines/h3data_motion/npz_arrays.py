@@ -15,13 +15,13 @@ import numpy as np
 from h3data.errors import FormatError, InputError
 
 MAX_BYTES = 1 << 30
-"""Limit of what the requested members unpack to; real motion files have 1 to 100 MB."""
+"""Largest total size of the requested members after unpacking; real motion files have 1 to 100 MB."""
 
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
 
 
 def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
-    """Return names of the arrays in an npz file.
+    """Return the names of the arrays in an npz file.
 
     Raises:
         FormatError: it is not a zip file.

@@ -48,7 +48,10 @@ SMOOTH_S = 1.0
 
 
 def follow_camera(replay: Replay, agent: int = 0, *, width: int = 960, height: int = 540) -> CameraTrack:
-    """Return a camera ahead and to the right of an agent, seen along its displacement; it moves smoothly and never turns."""
+    """Return the track of a camera that moves smoothly with an agent and does not turn.
+
+    The camera is ahead of the agent and to its right, relative to the agent's total displacement.
+    """
     position = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))[:, :3]
     displacement = position[-1] - position[0]
     reach = max(1, min(round(SMOOTH_S * len(position) / max(replay.recording.duration_s, 1e-3)), len(position) - 1))

@@ -51,7 +51,7 @@ def walk_file(path: str) -> bytes:
 
     Raises:
         InputError: there is no such file, or nobody walks in it.
-        FormatError: it is no motion file.
+        FormatError: the file is not a motion file.
     """
     if not Path(path).is_file():
         raise InputError(f"Expected a motion file (.npz, .pkl, .bvh), there is none there: {path}", code="H3-BODY-061")

@@ -18,7 +18,7 @@ def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
     ``cameras = ["robot_arm", "third_person"]``, ``task = "social_nav"``.
 
     Raises:
-        InputError: the file cannot be read, or one of its keys is no option of the command.
+        InputError: the file cannot be read, or one of its keys is not an option of the command.
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))

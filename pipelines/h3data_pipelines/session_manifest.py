@@ -93,7 +93,7 @@ def read_manifest(path: Path) -> SessionManifest:
 
     Raises:
         InputError: there is no such file.
-        FormatError: it lacks a column of either kind, a row chooses nothing, or a number is none.
+        FormatError: a required column is missing, a row selects nothing, or a number is malformed.
     """
     try:
         if path.stat().st_size > _MOST_BYTES:

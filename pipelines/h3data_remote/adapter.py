@@ -81,7 +81,7 @@ def read_adapter(name: str) -> Adapter:
     """Read the adapter with a name or from a TOML file.
 
     Raises:
-        InputError: there is none, or it is malformed; the message names the field.
+        InputError: the adapter does not exist or is malformed; the message names the field.
     """
     file = FOLDER / f"{name}.toml" if name in built_in_adapters() else Path(name)
     try:
@@ -208,7 +208,7 @@ def chunk_of(
         batched: True if the first axis of an answer is for worlds.
 
     Raises:
-        PolicyServerError: there are none, or of another shape, or not finite.
+        PolicyServerError: the answer has no actions, or they have another shape or are not finite.
     """
     keys = [adapter.actions] if isinstance(adapter.actions, str) else adapter.actions
     parts = [_part(answer, key, server, batched=batched) for key in keys]

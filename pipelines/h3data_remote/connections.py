@@ -62,7 +62,7 @@ class Address:
         """Return the address in a text.
 
         Raises:
-            InputError: it is no address, or has a user or password.
+            InputError: the text is not an address, or contains a user or a password.
         """
         try:
             parts = urlsplit(text)
@@ -100,7 +100,7 @@ class Connection(Protocol):
         """Return the server's answer.
 
         Raises:
-            PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
+            PolicyServerError: the server does not answer in time, or answers with an error; the connection is closed.
         """
         ...
 
@@ -177,7 +177,7 @@ class WebSocketConnection:
         """Return the server's answer to a request.
 
         Raises:
-            PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
+            PolicyServerError: the server does not answer in time, or answers with an error; the connection is closed.
         """
         packed, deadline = OPENPI.pack(request), time.monotonic() + timeout_s
         try:
@@ -353,7 +353,7 @@ class ZmqConnection:
         """Return the server's answer to an observation.
 
         Raises:
-            PolicyServerError: there is none in time, or it is a complaint; the connection is closed.
+            PolicyServerError: the server does not answer in time, or answers with an error; the connection is closed.
         """
         try:
             answer = self._call("get_action", {"observation": request, "options": None}, timeout_s)

@@ -44,7 +44,7 @@ def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> Polic
         spec: Its rules, where a job is checked before it begins: then the server must be there.
 
     Raises:
-        InputError: it is no address, there is no such adapter, or the agent is no robot.
+        InputError: the address is invalid, there is no such adapter, or the agent is not a robot.
         PolicyServerError: nobody answers.
     """
     if kind != "robot":
@@ -199,7 +199,7 @@ class RemotePolicy:
         """Return the actions [hold, width] that the server answers with.
 
         Raises:
-            PolicyServerError: there are none in time, or of another kind.
+            PolicyServerError: the server does not answer in time, or the actions are of the wrong kind.
         """
         server = str(self.where)
         # a model is compiled at its first request, which takes minutes; that is per server and not per connection
@@ -240,7 +240,7 @@ class RemotePolicy:
         Servers that take no batches are asked one after the other.
 
         Raises:
-            PolicyServerError: as `act`.
+            PolicyServerError: as for `act`.
         """
         first = policies[0]
         asking = [

@@ -88,7 +88,7 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
     """Return the view with these plain fields; the map and the rules are those of the episode.
 
     Raises:
-        PolicyServerError: it is none that this server knows.
+        PolicyServerError: the server does not know a view with these fields.
     """
     kind = VIEWS.get(str(fields.get("view"))) if isinstance(fields, dict) else None
     if kind is None or not 0 <= number < len(episode.roster):

@@ -212,7 +212,7 @@ def policy_service(served: ServedPolicy, host: str = "127.0.0.1", port: int = 80
     Each connection is a conversation of its own. Browsers are refused: pages of others could ask as well.
 
     Raises:
-        InputError: the port is taken, or the address is none of this machine.
+        InputError: the port is in use, or the address is not one of this machine.
     """
     metadata, sessions = OPENPI.pack(served.metadata()), Sessions(served)
 

@@ -24,7 +24,7 @@ _KINDS = "biuf"
 
 
 class PolicyServerError(H3DataError):
-    """A policy server is gone or late, or its answer is not an action."""
+    """Error of a policy server: it does not answer in time, or its answer is not an action."""
 
 
 class Codec:
@@ -41,7 +41,7 @@ class Codec:
         self._unpack_array = unpack_array
 
     def pack(self, message: Any) -> bytes:
-        """Return bytes of a message of maps, lists, text, numbers and arrays.
+        """Return the bytes of a message of maps, lists, text, numbers and arrays.
 
         Raises:
             PolicyServerError: it is larger than `MOST_BYTES`.

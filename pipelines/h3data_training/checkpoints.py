@@ -38,7 +38,7 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
 
     Raises:
         FormatError: the checkpoint does not fit.
-        InputError: it is of another number of processes.
+        InputError: the checkpoint is from a run with a different number of processes.
     """
     m, own = learner.memory, learner.ranks.own
     try:

@@ -27,7 +27,7 @@ def curve_of(folder: Path) -> list[Row]:
     """Return the learning curve of a run.
 
     Raises:
-        InputError: there is none.
+        InputError: the run has no learning curve.
     """
     path = folder / CURVE
     if not path.is_file():

@@ -39,7 +39,7 @@ def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callab
 
     Raises:
         Exception: what a process raised.
-        RuntimeError: a process died.
+        RuntimeError: a process has died.
     """
     context = get_context("spawn")  # a forked process could not use CUDA
     asked, pipes, processes = context.Event(), [], []

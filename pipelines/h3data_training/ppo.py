@@ -69,7 +69,7 @@ class Worlds(Protocol):
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return columns of the learning curve that follow from the totals by name."""
+        """Return the columns of the learning curve that follow from the totals by name."""
         ...
 
 

@@ -128,7 +128,7 @@ class ActionRepeatEnv(ActionRepeat):
         ]
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return columns of the learning curve that follow from the totals by name."""
+        """Return the columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

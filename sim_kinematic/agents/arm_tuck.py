@@ -27,8 +27,8 @@ ROUNDING = 1e-9
 BLOCK = 256
 """Number of lines that are followed together, so that their numbers fit into the first cache."""
 LOOKS = 3
-"""Number of steps after which finished lines are removed, which saves a tenth of the time. Later steps change nothing:
-a line is finished when none can change its arm."""
+"""Number of steps after which finished lines are removed, which saves a tenth of the time. A line is finished when no further
+step can change its arm, so the results are the same."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06

@@ -156,7 +156,7 @@ class GivingWay:
         return self._seen[number]
 
     def end_turn(self, number: int) -> None:
-        """Store that an agent has acted and has moved."""
+        """Note that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
         self._at[number] = self.actors[number].xz.tolist()

@@ -157,7 +157,7 @@ def grip_objects(
     lets go. ``hands`` [W, 4, 4]: `robot_hands`, or any frame for a person.
 
     Raises:
-        InputError: another shape, or an action or a hand that is not finite; then nothing is taken.
+        InputError: an array has the wrong shape, or an action or a hand is not finite; then nothing is taken.
     """
     frames = _hands(hands, state)
     rows = _rows(action, (len(frames),), "One number per world")

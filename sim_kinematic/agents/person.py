@@ -457,7 +457,7 @@ class Person:
         return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """Return poses of the body while a hand moves to a world position [3], in the agent root frame.
+        """Return the poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
         """
@@ -586,7 +586,7 @@ class Person:
         return quats
 
     def curl_around(self, name: str) -> float:
-        """Bend of each joint of a finger [rad] whose bones touch a round thing of an object's radius."""
+        """Return the bend of each joint of a finger [rad] at which its bones touch a round object of a given radius."""
         radius = min(max(self.sizes.get(name, GRIP_M), GRIP_WITHIN[0]), GRIP_WITHIN[1])
         # bones of length l that touch a circle of radius r at their middles bend by 2 atan(l / 2r)
         return min(2 * math.atan(FINGER_M / 2 / (radius + FINGER_HALF)) - REST_CURL, CURL_MOST)

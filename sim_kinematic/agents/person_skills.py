@@ -417,7 +417,7 @@ class PersonActor:
         self._follow()
 
     def _path(self, goal: NDArray) -> NDArray[np.float64] | None:
-        """Way points [N, 2] to a floor point [2]; None: there is no path."""
+        """Waypoints [N, 2] to a floor point [2]; None: there is no path."""
         if self._goes_around:
             around = path_around(self.free, self.xz, goal, self.others)
             if around is not None:

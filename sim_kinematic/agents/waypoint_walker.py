@@ -79,7 +79,7 @@ class WaypointHuman:
             self._next_goal(position)
 
     def stride(self, xz: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-        """Pose (x, z, heading) one step after the present one, with `WalkerSpec.stride`.
+        """Return the pose (x, z, heading) one step after the present one, with `WalkerSpec.stride`.
 
         The person reacts to nobody, so the walk to each goal is computed at once.
         """

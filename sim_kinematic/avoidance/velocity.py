@@ -1,7 +1,7 @@
 """Velocity of a robot's base that keeps clear of people and other robots.
 
-Short trials of the next command, in the manner of the dynamic window (Fox, Burgard and Thrun, 1997), against where the others
-will be if they keep their velocity.
+The robot compares possible next commands by short simulations, as in the dynamic window approach (Fox, Burgard and Thrun,
+1997). The other agents are assumed to keep their velocity.
 """
 
 from __future__ import annotations

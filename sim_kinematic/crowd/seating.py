@@ -235,7 +235,10 @@ def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
 
 
 def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:
-    """Return places and shares of a person who lies down from sitting (1), or only the first if they do not lie."""
+    """Return the places of a person who lies down, each with its share from 1 (sitting) to 2 (lying).
+
+    If the person does not lie down there, the list has only the first place.
+    """
     steps, up = (1, 1.0) if place.lie is None else (round(LIE_S / STEP_S) + 1, 2.0)
     # each part of lying down and sitting up begins and ends at rest, so the share itself need not
     return [(root_at(place, share), share) for share in np.linspace(1, up, steps).tolist()]

@@ -87,9 +87,9 @@ class Traits(NamedTuple):
     """Traits of one person of a crowd."""
 
     speed_mps: float
-    """Free walking speed."""
+    """Walking speed of the person on a free path [m/s]."""
     relaxation_s: float
-    """Time constant with which `social_force` returns to the desired velocity."""
+    """Time constant with which `social_force` returns to the desired velocity [s]."""
     reaction_s: float
     """Time between two decisions [s]."""
     radius_m: float

@@ -22,7 +22,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     """Environment of one world in which one agent acts.
 
     ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
-    seed gives the same scenes, starts and way points on every machine. ``info`` has the task's facts; `reset` adds ``scene``
+    seed gives the same scenes, starts and waypoints on every machine. ``info`` has the task's facts; `reset` adds ``scene``
     and ``episode_seed``.
     """
 

@@ -173,7 +173,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Return an attribute of each world: one that `set_attr` has set, or one that all worlds share.
 
         Raises:
-            AttributeError: there is none.
+            AttributeError: the worlds have no such attribute.
         """
         if name in self._attributes:
             return self._attributes[name]
@@ -185,7 +185,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Return what a method of each world gives, or its attribute. Only ``render`` differs from world to world.
 
         Raises:
-            AttributeError: there is none.
+            AttributeError: the worlds have no such method or attribute.
             InputError: it would move single worlds.
         """
         if name == "render":

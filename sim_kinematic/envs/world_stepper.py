@@ -301,7 +301,7 @@ class WorldStepper:
         for k in self._others:
             for w in rows.tolist():
                 policy = self._walkers[w][k]
-                # only people who turn on the spot keep a way point from step to step
+                # only people who turn on the spot keep a waypoint from step to step
                 if isinstance(policy, WaypointPolicy) and self.spec.human.stride is None:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
@@ -368,7 +368,7 @@ class WorldStepper:
         return there[int(given[0])]
 
     def choosing(self, world: int = 0) -> tuple[str, ...]:
-        """Return names of the agents with skills whose next action counts in a world."""
+        """Return the names of the agents with skills whose next action counts in a world."""
         now = self.turns[world].choosing if self.turns else []
         return tuple(agent for agent, number in self.numbers.items() if number in now)
 
@@ -380,7 +380,7 @@ class WorldStepper:
             striding = [self._walkers[w][k] for w in range(self.worlds)]
             moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(striding)])
             return PoseCommand(moves[:, :2], moves[:, 2], np.zeros((self.worlds, 2)))
-        if scripted:  # only those who have arrived need a new way point
+        if scripted:  # only those who have arrived need a new waypoint
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])

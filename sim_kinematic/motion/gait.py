@@ -32,11 +32,11 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
     if distance <= arrive:
         return x, z, heading, 0.0
     error = wrap_angle(math.atan2(-dz, dx) - heading)
-    # on the spot first: only the straight line to the way point is known to be free
+    # on the spot first: only the straight line to the waypoint is known to be free
     most = turn * dt
     if abs(error) > turn_before_walk:
         return x, z, heading + min(max(error, -most), most), 0.0
-    # exactly onto the way point: the line to the next one is free from there
+    # exactly onto the waypoint: the line to the next one is free from there
     walked = min(speed * dt, distance)
     return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
 
@@ -77,7 +77,7 @@ def _step_cycles(distance, set_off, blend, xz, before, backwards, rate):
 def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
     """Move a person in all their worlds one step straight towards waypoints ``goal_xz`` [W, 2], in place.
 
-    The way points come from `FreeSpace.path`, so the straight line to the next one is free.
+    The waypoints come from `FreeSpace.path`, so the straight line to the next one is free.
     """
     _walk_worlds(
         state.xz,

@@ -169,7 +169,7 @@ class WorldState(_Arrays):
             scene_joints: number of doors and drawers.
 
         Raises:
-            InputError: a number is negative, or there is not one number of joints for each robot.
+            InputError: a number is negative, or the counts of joints do not match the number of robots.
         """
         each = [joints] * robots if isinstance(joints, int) else list(joints)
         if len(each) != robots or min(worlds, robots, people, objects, scene_joints, *each) < 0:

@@ -231,7 +231,7 @@ def velocities(action, limits):
 def drive_worlds(
     sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance, touch, most
 ):
-    """`drive_base` in W worlds, in place; return the first of them whose action [W, 2 or 3] is not finite, -1 if all are."""
+    """Apply `drive_base` in W worlds, in place; return the first with an action [W, 2 or 3] that is not finite, -1 if none."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken

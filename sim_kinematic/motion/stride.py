@@ -144,7 +144,7 @@ def stride_step(
     to_end = math.hypot(end_x - x, end_z - z)
     room = sample_sdf(sdf, origin, cell, x, z) - radius
     ahead = min(0.3 + max(room, 0.0), look)
-    if keeps_to_path:  # to each way point in turn, even where the path folds back
+    if keeps_to_path:  # to each waypoint in turn, even where the path folds back
         k = next_waypoint_index(cumulative, along)
         if k < len(path) - 1 and math.hypot(path[k, 0] - x, path[k, 1] - z) <= max(v * dt, arrive / 4.0):
             along = cumulative[k]
@@ -238,7 +238,7 @@ def stride_gait(
     rate,
     before,
 ):
-    """`stride_step` of one person whose gait goes on with it, in place; what the gait was is written to ``before`` [6]."""
+    """Apply `stride_step` and the gait of one person, in place; write the gait's state from before to ``before`` [6]."""
     before[0], before[1], before[2] = state[0], state[1], state[2] = xz[0, 0], xz[0, 1], heading[0]
     before[3], before[4], before[5] = distance[0], set_off[0], blend[0]
     there = stride_step(

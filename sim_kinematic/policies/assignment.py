@@ -189,7 +189,7 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
     """Return a fresh policy for one agent in one episode.
 
     Raises:
-        InputError: no such policy; the message lists what there is.
+        InputError: there is no such policy; the message lists those that exist.
     """
     return resolve_policy(task, episode.roster[number].kind, choice)(episode, number)
 
@@ -207,7 +207,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         spec: The rules, which files of weights must fit; None where episodes say them.
 
     Raises:
-        InputError: no such policy; the message lists what there is.
+        InputError: there is no such policy; the message lists those that exist.
     """
     if isinstance(choice, str):
         return _named(task, kind, choice.strip(), spec)
@@ -271,7 +271,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 
 def policy_names(task: Task, kind: str) -> list[str]:
-    """Return names of the policies that agents of a kind can have in a task, without those of plug-ins."""
+    """Return the names of the policies that agents of a kind can have in a task, without those of plug-ins."""
     common = COMMON[kind] if not task.control.has_skills else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 

@@ -189,7 +189,7 @@ class NavigationContext:
 
     def path(self) -> tuple[Array, Array]:
         """Return the shortest path to the person: its length [] [m] and its first waypoint [2] [m]."""
-        # a way point underfoot would give a direction that changes with every step
+        # a waypoint underfoot would give a direction that changes with every step
         view, beyond_m = self._view, self._spec.disc_radius_m / 2
         point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)
         return np.asarray(view.geodesic_m), point

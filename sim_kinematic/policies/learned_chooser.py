@@ -32,7 +32,7 @@ class LearnedSkillPolicy:
             robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
-            FormatError: the network is for another number of objects or the other agent.
+            FormatError: the network is for a different number of objects or for the other agent.
         """
         self.choices = choices(objects, robot=robot)
         require(network, SENSES, outputs=len(self.choices))
@@ -56,7 +56,7 @@ def learned_chooser(policy: str, task: str, objects: int, *, robot: bool) -> Lea
     """Return the chooser that ``weights:FILE`` or the name of a trained policy means, which has to be of a task.
 
     Raises:
-        InputError: There is no such file, it is no file of weights, or the network does not fit.
+        InputError: the file does not exist, is not a file of weights, or its network does not fit.
     """
     network = network_of(policy)
     with naming(policy):

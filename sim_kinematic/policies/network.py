@@ -49,7 +49,7 @@ class Network:
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
     """Numbers that are subtracted from the inputs, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
-    """Divisors of the inputs after that, [in] or [1]; positive."""
+    """Positive numbers by which the inputs are divided after the subtraction of ``mean``, [in] or [1]."""
 
     def __post_init__(self) -> None:
         # here and not in the readers of files, so that networks made by hand or by training are checked too
@@ -208,7 +208,7 @@ def load_network(path: str | Path) -> Network:
 
     Raises:
         InputError: There is no such file.
-        FormatError: The file is no file of weights, is damaged, or its layers do not fit together.
+        FormatError: The file is not a file of weights, is damaged, or its layers do not fit together.
     """
     found, data = read_arrays(Path(path))
     if found != FILE_FORMAT:
@@ -246,7 +246,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
     Raises:
         InputError: There is no such file.
-        FormatError: The file is no file of weights, is too large or damaged.
+        FormatError: The file is not a file of weights, is too large, or is damaged.
     """
     try:
         # before anything is unpacked: a small file may unpack to any size

@@ -86,7 +86,7 @@ class RearrangeContext:
         return np.array([view.free.root_pose(view.other_xz, 0.0)[:3] for view in self._views])
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Array:
-        """Return lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
+        """Return the lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
         With ``then`` from the first position of the other's known track. Objects and goals lie on furniture, so the ends of the
         paths are moved to the free floor.
@@ -101,7 +101,7 @@ class RearrangeContext:
         return np.minimum(np.array(found), FAR_M)
 
     def ahead(self, *, other: bool) -> Array:
-        """Return points that an agent would reach after `AHEAD_M` on its path to each object, [W, K, n, 2] [m].
+        """Return the points that an agent would reach after `AHEAD_M` on its path to each object, [W, K, n, 2] [m].
 
         For an object in its hand, the path leads to the object's goal. Paths to objects in another agent's hand are straight
         lines.

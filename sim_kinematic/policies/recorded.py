@@ -315,7 +315,7 @@ def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict
 def targets_of(
     skill: str, objects: tuple[str, ...], joints: tuple[str, ...], surfaces: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return names of the targets that a skill can have."""
+    """Return the names of the targets that a skill can have."""
     return joints if skill in OPENING_SKILLS else surfaces if skill == SEARCH else objects
 
 

@@ -127,7 +127,10 @@ class Seeking:
         return self.search.act(view) if self._searches else choice
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to interrupt the action: an object or the place has been seen, or that of the planner."""
+        """Return the reason to interrupt the action.
+
+        The search ends when an object or the place has been seen; at other times the planner gives the reason.
+        """
         if view.step % LOOK_STEPS:
             return ""
         if not self._searches:

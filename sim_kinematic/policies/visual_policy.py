@@ -42,7 +42,7 @@ BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Text in a policy file."""
+    """Description of a policy, stored as text in its file: its task, its inputs and how it was trained."""
 
     task: str
     robot: str
@@ -332,7 +332,7 @@ def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> 
 
 
 def picture_length(size: tuple[int, int]) -> int:
-    """Return positions that are left after the convolutions of a picture (width, height) [pixels]."""
+    """Return the positions that are left after the convolutions of a picture (width, height) [pixels]."""
     width, height = (side // PATCH for side in size)
     for stride in STRIDES:
         # rounded up, as a window of 3 with a margin of 1 does

@@ -48,7 +48,7 @@ class Limits(NamedTuple):
 
 
 def picture_names(body: Body) -> tuple[str, ...]:
-    """Return names of the pictures that a body can observe.
+    """Return the names of the pictures that a body can observe.
 
     A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
     one on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.

@@ -138,7 +138,7 @@ class StateRenderer:
         return tuple(drawn.body for drawn in self._agents)
 
     def instances(self, agent: int) -> tuple[int, ...]:
-        """Return ids of an agent in ``instance`` pictures, which `detect_humanoids` takes for a person."""
+        """Return the ids of an agent in ``instance`` pictures, which `detect_humanoids` takes for a person."""
         return tuple(self._agents[agent].instances)
 
     def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:

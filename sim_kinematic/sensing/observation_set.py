@@ -174,7 +174,7 @@ def checked_names(
     """Return for each of some agents the observations of ``names`` that are ``known`` for it, each once.
 
     Raises:
-        InputError: no agent knows one of them, or there is ``noise`` of one that is not among them.
+        InputError: no agent has one of the observations, or ``noise`` names one that is not among them.
     """
     every = tuple(dict.fromkeys(name for each in known for name in each))
     if not isinstance(names, list | tuple) or not names or not all(name in every for name in names):

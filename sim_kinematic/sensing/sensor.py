@@ -192,7 +192,7 @@ def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) ->
 
 
 def first_point(free: FreeSpace, xz: Array, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Array:
-    """Return the first way point from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
+    """Return the first waypoint from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
 
     It is ``xz`` where there is no path, whose length ``length_m`` is infinite.
     """

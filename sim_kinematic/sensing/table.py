@@ -133,14 +133,19 @@ class Context(Protocol):
         ...
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Any:
-        """Return lengths of the shortest paths from the agent or the other to objects or goals, [..., K] [m].
+        """Return the lengths of shortest paths to objects or goals, [..., K] [m].
+
+        The paths begin at the agent, or with ``other`` at the other agent; with ``then``, where it was a second ago.
 
         With ``then``, the paths begin where the agent was a second ago.
         """
         ...
 
     def ahead(self, *, other: bool) -> Any:
-        """Return points `AHEAD_M` further on, on the agent's or the other's path to each object, [..., K, n, 2] [m]."""
+        """Return the points that are `AHEAD_M` ahead on the path to each object, [..., K, n, 2] [m].
+
+        The path is that of the agent, or with ``other`` that of the other agent.
+        """
         ...
 
     def ended(self, outcome: Ending) -> Any:
@@ -224,9 +229,9 @@ class Sensor(NamedTuple):
     low: ArrayLike
     """Least values of one unit of the sensor; their number is the width of a unit."""
     high: ArrayLike
-    """Largest values of one unit of the sensor."""
+    """Largest value of each number of the sensor."""
     unit: tuple[str, ...] = ()
-    """Unit of each of these numbers, empty for numbers without a unit; no units at all if no number has one."""
+    """Unit of each number of the sensor, empty for a number without a unit; an empty tuple if no number has a unit."""
     frame: str = ""
     """Axes of the numbers: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root frame of
     the start: x forward, y up, z right) or ``hand``."""
@@ -488,7 +493,7 @@ STATE_SENSES = (
 
 
 def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:
-    """Return values of a named sensor of an agent.
+    """Return the values of a named sensor of an agent.
 
     Raises:
         InputError: The sensor needs a field that the worlds of the task do not have; the message names task, agent and sensor.

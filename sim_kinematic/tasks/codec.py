@@ -111,7 +111,7 @@ class EpisodeCodec(Generic[R]):
         """Return the rules that a record names.
 
         Raises:
-            InputError: The rules are none of this task.
+            InputError: The rules are not rules of this task.
         """
         raise NotImplementedError
 
@@ -371,7 +371,7 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
     """Return rules from a file; what they do not name is as in the paper.
 
     Raises:
-        InputError: The rules are none of this kind.
+        InputError: The rules are not rules of this kind.
     """
     try:
         # empty entries give the paper's base and walker, where the spec's defaults are the natural ones

@@ -109,7 +109,7 @@ class Starts:
 
     @classmethod
     def of(cls, places: Array) -> Starts:
-        """Start from an array [2, 3] whose first row is the robot's and second the person's."""
+        """Build starts from an array [2, 3] whose first row is the robot's and second the person's."""
         robot, human = np.asarray(places, np.float64)
         return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
 

@@ -341,7 +341,7 @@ class MotionTeam(Team):
         )
 
     def _path(self, agent: int, other: int) -> tuple[Array, Array]:
-        """Return the shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
+        """Return the shortest paths from an agent to another: their lengths [W] [m] and their first waypoints [W, 2] [m]."""
         world = self.play.world
         lengths = world.geodesic(agent, other)
         xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
@@ -389,7 +389,7 @@ class MotionTeam(Team):
     def columns(
         self, snapshots: Sequence[list[Sequence[float]]]
     ) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Return columns of robots that drive and of people in motion clips."""
+        """Return the columns of robots that drive and of people in motion clips."""
         # as `snapshot` writes them, [T, n] each
         parts = [np.array(part, np.float64) for part in zip(*snapshots, strict=True)]
         steps, floor = len(snapshots), self.play.episode.free

@@ -122,7 +122,7 @@ class WorldRollout:
         ``measure=False`` leaves out what only rewards need.
 
         Raises:
-            InputError: there is not one policy for each agent.
+            InputError: the number of policies is not the number of agents.
         """
         if len(policies) != len(episode.roster):
             raise InputError(
@@ -245,7 +245,7 @@ class WorldRollout:
         return np.array([episode.extra[name] for episode in self.episodes])
 
     def path_length(self, agent: int, points: Array) -> Array:
-        """Return lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return the lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
         xz, lengths = self.world.state.agents[agent].xz, np.zeros(self.world.worlds)
         for free, rows in self.world.groups:
             lengths[rows] = free.geodesic(xz[rows], points[rows])

@@ -132,7 +132,7 @@ class RecordedSensors:
         return cls(task, roster, tuple(names)) if names else None
 
     def read(self, play: Any) -> dict[str, Any]:
-        """Return values of the step that has just been played, by column."""
+        """Return the values of the step that has just been played, by column."""
         values = {}
         for k in self._robots:
             for name, shown in play.observe(k, 0, self._names).items():
@@ -224,7 +224,7 @@ class Recorder:
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
 
     def latest_columns(self) -> Columns:
-        """Return columns of the step that has just been played, one row each, without the hash of the state."""
+        """Return the columns of the step that has just been played, one row each, without the hash of the state."""
         return self.play.columns([self.latest], len(self) - 1)
 
     def flush(self) -> None:

@@ -115,7 +115,7 @@ class SkillSession:
 
 
 class AgentWorlds:
-    """A `World` in one home whose people walk to way points and whose robots are driven."""
+    """A `World` in one home whose people walk to waypoints and whose robots are driven."""
 
     def __init__(self, home: Any, agents: Any = PAIR, *, worlds: int = 1, spec: Any = None, free: Any = None) -> None:
         self.scene, self.free, self.spec = home, free, spec or SocialNavSpec()

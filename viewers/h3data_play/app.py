@@ -133,11 +133,11 @@ class App:
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
-        """Return messages that are sent by one press. If there are any, the page has a box for others too."""
+        """Return the messages that are sent by one press. If there are any, the page has a box for others too."""
         return []
 
     def spots(self) -> list[Spot]:
-        """Return places to which players can bring what they hold, by name."""
+        """Return the places to which players can bring what they hold, by name."""
         return []
 
     def spoken(self, text: str) -> str:
@@ -192,7 +192,7 @@ def find_app(name: str) -> type[App]:
     """Return the app with a name, or ``module:Class``, where the class may also be that of a task.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such app.
     """
     found = _APPS.get(name)
     return type(found.__name__, (App,), {"task": found}) if issubclass(found, Task) else found

@@ -36,7 +36,7 @@ async def receive(reader: asyncio.StreamReader) -> Letter:
 
 
 class Closed(Exception):
-    """The other side has closed the channel."""
+    """Error that is raised when the other side has closed the channel."""
 
 
 class Channel:

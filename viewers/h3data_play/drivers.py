@@ -82,7 +82,7 @@ class Driver:
             A sentence for the player if the message cannot be carried out, or the app's ``refusal``.
 
         Raises:
-            InputError: the message is no command of this task; it must not be recorded.
+            InputError: the message is not a command of this task; it must not be recorded.
         """
         why = refusal or self.follow(message)
         if message.seq is not None:

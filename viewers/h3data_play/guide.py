@@ -66,7 +66,7 @@ class Guide:
         """Return a guide along the shortest path over a floor; to a point within `NEAR_M` of a goal that cannot be reached.
 
         Raises:
-            InputError: no path leads there; the text is for the player.
+            InputError: no path leads to the goal; the message is for the player.
         """
         path = free.path(xz, np.asarray(goal, np.float64), max_snap_m=FLOOR_SNAP_M)
         if len(path) == 0:  # what was clicked on lies on an island of the floor, or in the middle of something large

@@ -344,7 +344,7 @@ class LiveGame:
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """Store that the clock of the game has skipped some steps."""
+        """Note that the clock of the game has skipped some steps."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
@@ -424,7 +424,7 @@ class LiveGame:
         return [point if known else None for known, point in points]
 
     def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
-        """Return messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        """Return the messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
         said = getattr(self.session.play.team, "messages", ())
         name = self.session.episode.roster[number].name if number >= 0 else None
         return [

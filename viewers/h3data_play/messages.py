@@ -215,7 +215,7 @@ def decode(text: str) -> Act | Ping | Can:
     """Decode the message in a text frame.
 
     Raises:
-        msgspec.MsgspecError: it is none: no JSON, an unknown kind, a number out of its range.
+        msgspec.MsgspecError: the text is not a message: not JSON, an unknown kind, or a number out of range.
     """
     return read_json(text, _DECODER)
 
@@ -224,7 +224,7 @@ def read_json(text: str | bytes, decoder: msgspec.json.Decoder[Kind]) -> Kind:
     """Decode JSON that a client has sent: all of it goes through here.
 
     Raises:
-        msgspec.MsgspecError: it is none, is nested too deeply, or is not what the decoder expects.
+        msgspec.MsgspecError: the text is not JSON, is nested too deeply, or is not what the decoder expects.
     """
     try:
         data = text.encode() if isinstance(text, str) else text

@@ -32,7 +32,7 @@ Heard = Callable[["WorkerProcess", str, str, Any], None]
 
 
 class Refused(Exception):
-    """The plan cannot be played; the text says why.
+    """Error about a plan that cannot be played; the text says why.
 
     It is no `H3DataError`, because the front imports nothing of h3data; the command raises one with the same text and code.
     """

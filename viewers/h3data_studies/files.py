@@ -392,7 +392,7 @@ def open_study(path: Path) -> tuple[Path, Design]:
     """Return folder and design of a study that has begun, from its file or its folder; else those of its bots.
 
     Raises:
-        InputError: there is none, or nobody has begun it.
+        InputError: there is no such study, or it has not begun.
     """
     folder = path if path.is_dir() else study_folder(path, read_design(path))
     if not (folder / DESIGN_FILE).is_file() and (bots_folder(folder) / DESIGN_FILE).is_file():

@@ -84,7 +84,7 @@ def page_words(design: Design, language: str) -> dict[str, str]:
 
 
 def missing(design: Design, language: str) -> list[str]:
-    """Return names of the words that a study in this language lacks; empty: all are there."""
+    """Return the names of the words that a study in this language lacks; empty: all are there."""
     if shipped(language) is not None:
         return []
     given = design.texts.get(language, {})

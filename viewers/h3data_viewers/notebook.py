@@ -72,7 +72,7 @@ def show(
         assets: Folders of the files that a foreign recording names.
 
     Raises:
-        InputError: no such viewer or camera.
+        InputError: there is no such viewer or camera.
         MissingExtraError: the Rerun viewer is not installed.
     """
     if viewer not in (None, "rerun", "video"):
@@ -166,7 +166,7 @@ def metrics_table_html(table: MetricsTable) -> str:
 
 
 def metrics_html(measured: EpisodeMetrics) -> str:
-    """Return values of the metrics of an episode, and notes on them, as HTML."""
+    """Return the values of the metrics of an episode, and notes on them, as HTML."""
     return _html(tables=[_metrics(measured)])
 
 

@@ -15,8 +15,8 @@ HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
 front of the body."""
 
 CLOSE_HANG_DEG, COLLAR_DEG = 88.0, 20.0
-"""Angles of upper arm and collar of people with planted feet, whose shoulders go forward too: broad bodies are then 2.5 cm
-narrower a side and fit between walls 50 cm apart. Poses by clips, on which contact is based, have `HANG_DEG`."""
+"""Angles of the upper arm and the collar of people with planted feet. Their shoulders also move forward, so that broad bodies
+are 2.5 cm narrower on each side and fit between walls 50 cm apart. Poses from clips, which contact uses, have `HANG_DEG`."""
 CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 18.0, 10.0, 118.0
 """Angles of an arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the
 belly."""

@@ -44,7 +44,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def humanoid_names() -> tuple[str, ...]:
-    """Return names of the built-in bodies, sorted."""
+    """Return the names of the built-in bodies, sorted."""
     others = (COMMON_FILE, WARDROBE_FILE)
     return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name not in others))
 

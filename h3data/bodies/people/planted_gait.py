@@ -30,7 +30,7 @@ _CALL = Entries()
 
 
 def gait_tables(gaits: Gaits) -> GaitTables:
-    """Return the gaits of a body, sampled (40 ms)."""
+    """Return sampled tables of the gaits of a body; computing them takes 40 ms."""
     from h3data.bodies.people.kernels.planted import GaitTables
 
     # rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)

@@ -231,7 +231,7 @@ class Robot:
         """Return the nearest joint positions inside the limits, and which ones had to be moved there.
 
         Raises:
-            InputError: not [..., J] numbers, or some are NaN or infinite.
+            InputError: the shape is not [..., J], or a number is NaN or infinite.
         """
         wanted = self._joints(joint_pos)
         # `clip` lets NaN pass, and no limit would be named

@@ -68,7 +68,7 @@ class RobotFiles(NamedTuple):
 
 
 def robot_names() -> tuple[str, ...]:
-    """Return names of the built-in robots, then of those of installed packages."""
+    """Return the names of the built-in robots, then of those of installed packages."""
     return _registry().names()
 
 

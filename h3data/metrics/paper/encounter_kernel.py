@@ -17,7 +17,7 @@ from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, fetch, int
 
 @intrinsic
 def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits, quantities, flags, first, count):
-    """Fill the series of ``count`` times eight rows from row ``first`` on, which has no velocity."""
+    """Fill ``8 * count`` rows of the series, starting at row ``first``; eight rows are computed at a time."""
 
     def codegen(context, b, signature, arguments):
         *arrays, first, count = (

@@ -140,7 +140,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     """Compute SR, RE, CR, RC and TS.
 
     Raises:
-        MissingColumnsError: none of the columns is there.
+        MissingColumnsError: the recording has none of the columns.
     """
     # a person alone cannot touch a robot: CR is 0 without a column of contacts
     alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)

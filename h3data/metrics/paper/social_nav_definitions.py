@@ -50,7 +50,7 @@ SOCIAL_NAV: tuple[Metric, ...] = (
         + _ORACLE_READING.format("SPS"),
         habitat=(
             "Counts the state after reset as step 1, so p is one larger. With its default configuration l stays "
-            "infinite and SPS is always 0; l tests r <= i at every step, the paper r < i at equally spaced way points."
+            "infinite and SPS is always 0; l tests r <= i at every step, the paper r < i at equally spaced waypoints."
         ),
     ),
     Metric(

@@ -40,7 +40,7 @@ def scene_attachment(scene: Scene) -> tuple[bytes, str]:
 
 
 def categories_of(scene: Scene) -> list[str]:
-    """Return names of the semantic classes that a scene may have, in the order of their ids.
+    """Return the names of the semantic classes that a scene may have, in the order of their ids.
 
     For homes these are the classes of their generation, with those of stairs where there are several storeys; for all other
     scenes those of the first generation.

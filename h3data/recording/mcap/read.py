@@ -41,7 +41,8 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
 
     Raises:
         InputError: the file does not exist or cannot be read, or lacks a column.
-        FormatError: it is no log of h3data, or truncated or damaged; the message says how much `recover_mcap` can save.
+        FormatError: the file is not a log of h3data, or is truncated or damaged; the message says how much of it
+            `recover_mcap` can save.
     """
     path = place(path)
     log = scan_records(load(path))

@@ -37,7 +37,7 @@ def recover_mcap(
 
     Raises:
         InputError: ``out`` exists and ``overwrite`` is False, or the file cannot be read.
-        FormatError: nothing can be recovered, or it is no log of h3data.
+        FormatError: nothing can be recovered, or the file is not a log of h3data.
     """
     path, out = place(path), local(out)
     if os.path.exists(out) and not overwrite:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Dataset(DatasetFolder):
-    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is active."""
+    """Episodes of a dataset folder, read when they are needed; safe to open while another process adds episodes."""
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
@@ -42,7 +42,7 @@ class Dataset(DatasetFolder):
     @overload
     def __getitem__(self, index: slice) -> Episodes: ...
     def __getitem__(self, index: int | slice) -> Recording | Episodes:
-        """Episode ``index``, see `recording`; of a slice the `Episodes`, to be read when they are asked for."""
+        """Return episode ``index`` as `recording` does, or for a slice the `Episodes`, which are read when needed."""
         if isinstance(index, slice):
             return self.all()[index]
         # integers of numpy are numbers of episodes too
@@ -91,10 +91,11 @@ class Dataset(DatasetFolder):
     def recording(
         self, index: int, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None
     ) -> Recording:
-        """Return episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
+        """Return episode ``index``, exactly as it was added, or only parts of it.
 
-        With ``records`` (of ``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) only these, and no
-        attachments: metrics need no more than ``agents``. Reads one row group.
+        ``columns`` restricts it to these columns and the indispensable ones. ``records`` restricts it to some kinds of records
+        (``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) and leaves out attachments; metrics need only
+        ``agents``. One row group is read.
         """
         self.row(index)
         return next(self.recordings(range(index, index + 1), columns=columns, records=records))
@@ -104,7 +105,7 @@ class Dataset(DatasetFolder):
     ) -> Iterator[Recording]:
         """Yield consecutive episodes as `recording` returns them, read together, which is faster for many.
 
-        Holds all of them in memory; their columns are views of common arrays.
+        All of them are held in memory; their columns are views of common arrays.
         """
         kinds = [kind for kind in SIDECARS if records is None or kind in records]
         self._require_columns(columns or ())
@@ -145,7 +146,7 @@ class Dataset(DatasetFolder):
     ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """Yield ``(index, {column: array [T, ...]})`` of each episode, in constant memory; only these columns are read.
 
-        A column that an episode lacks is not in its dict. Metrics use this.
+        If an episode lacks a column, its dict lacks it too. Metrics are computed with this method.
         """
         self._require_columns(columns)
         for index in range(len(self)) if episodes is None else episodes:
@@ -178,13 +179,13 @@ class Dataset(DatasetFolder):
         return [self.video(index, camera) for camera in self.cameras if self.row(index)["length"]]
 
     def layout(self, index: int) -> Layout:
-        """Return columns of one episode with their true shapes."""
+        """Return the columns of one episode with their own shapes, which may be narrower than those of the dataset."""
         return _layout(self.row(index)["columns"])
 
     def to_numpy(self, index: int, stored: Mapping[str, pa.ChunkedArray], rows: int) -> dict[str, NDArray[Any]]:
         """Return stored columns of episode ``index`` (from `read_group`), ``rows`` long, in their own shapes.
 
-        Columns without width are not stored; the result has them all the same.
+        Columns of width 0 are not stored, but the result contains them.
         """
         try:
             return {
@@ -210,12 +211,12 @@ class Dataset(DatasetFolder):
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
         """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
 
-        As stored: a vector is a fixed-size list of the declared width, narrower episodes are padded. Holds all of it in
-        memory; for more than that use `iter_columns` or ``h3data sql``.
+        Values are as stored: a vector is a fixed-size list of the declared width, and narrower episodes are padded. The
+        table is held in memory; for larger data use `iter_columns` or ``h3data sql``.
 
         Raises:
-            InputError: no such column or episode.
-            FormatError: damaged data.
+            InputError: there is no such column or episode.
+            FormatError: the data are damaged.
         """
         return tables.to_arrow(self, columns=columns, episodes=episodes)
 

@@ -116,7 +116,7 @@ class DatasetSchema:
         """Return the schema of an existing dataset.
 
         Raises:
-            FormatError: there is none, it is damaged, or a newer h3data wrote it.
+            FormatError: the schema is missing or damaged, or a newer h3data wrote it.
         """
         path = root / "h3" / "schema.json"
         try:

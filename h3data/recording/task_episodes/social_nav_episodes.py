@@ -78,7 +78,7 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
     """Return the starts and waypoints in an episode of h3data; None for other episodes.
 
     Raises:
-        FormatError: ours, but damaged or from a newer version.
+        FormatError: an episode of h3data is damaged or from a newer version.
     """
     return read_info_block(episode, TASK, SocialNavEpisode)
 
@@ -88,5 +88,5 @@ def require_finite(nav: SocialNavEpisode) -> None:
     numbers = [*nav.robot_start, *nav.human_start, *(v for goal in nav.human_goals for v in goal), nav.floor_y]
     if not all(map(math.isfinite, numbers)):
         raise InputError(
-            "Expected finite starts and way points, there is a NaN or an infinity among them.", code="H3-HABITAT-042"
+            "Expected finite starts and waypoints, there is a NaN or an infinity among them.", code="H3-HABITAT-042"
         )

@@ -37,7 +37,7 @@ class StoredEpisode(Protocol):
 
     @property
     def scene_source(self) -> Mapping[str, Any]:
-        """Source of the scene: generator and seed, or a file; empty for the file that the episode names."""
+        """Source of the scene: a generator and its seed, or a file; empty if it is the scene that the episode's file names."""
         ...
 
 

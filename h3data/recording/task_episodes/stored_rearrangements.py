@@ -154,9 +154,9 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
     """Return the rearrangement that an episode of any file describes; None if there is nothing to rearrange.
 
     Raises:
-        FormatError: ours, but damaged or from a newer version.
-        InputError: Habitat's, but a target is no object of it, or a pose is none; PARTNR's, but it asks for something that is
-            not played.
+        FormatError: an episode of h3data is damaged or from a newer version.
+        InputError: in an episode of Habitat a target is not one of its objects or a pose is invalid, or an episode of PARTNR
+            asks for something that is not supported.
     """
     if task_of(episode) == TASK:
         record = read_info_block(episode, TASK, StoredRearrangement)
@@ -179,7 +179,7 @@ def rearrangement_of(episode: RearrangeEpisode, placements: tuple[Placement, ...
     Targets count only in an episode without placements.
 
     Raises:
-        InputError: a target is no object of it, or a pose is none.
+        InputError: a target is not an object of the episode, or a pose is not a valid one.
     """
     where = f"Episode {episode.episode_id!r}"
     handles = instance_handles(episode)

@@ -26,7 +26,7 @@ def check_light(light: object) -> None:
     """Raise an error for a value that is not a `LightMode`.
 
     Raises:
-        InputError: the value is not one.
+        InputError: the value is not a `LightMode`.
     """
     if light not in get_args(LightMode):
         raise InputError(

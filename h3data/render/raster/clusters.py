@@ -37,7 +37,7 @@ class Clusters(NamedTuple):
 def build_clusters(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
 ) -> Clusters:
-    """Clusters of a mesh [V, 3], [F, 3], by median splits of the triangles' centres along the longest axis.
+    """Build the clusters of a mesh [V, 3], [F, 3] by median splits of the triangles' centres along the longest axis.
 
     Triangles with holes (``cut_out`` [F]) get clusters of their own.
     """
@@ -175,7 +175,7 @@ def cluster_vertices(clusters: Clusters) -> tuple[NDArray[np.uint32], NDArray[np
 
 @kernel(boundscheck=False)
 def fill_packets(vertices, corners, packets):
-    """Fills packets [P, 9, 8] for vertices [V, 3]; deformed meshes keep their clusters."""
+    """Fill packets [P, 9, 8] for vertices [V, 3]; deformed meshes keep their clusters."""
     for p in range(len(corners)):
         for k in range(3):
             for lane in range(8):
@@ -187,7 +187,7 @@ def fill_packets(vertices, corners, packets):
 
 @kernel(boundscheck=False)
 def fill_boxes(vertices, members, starts, center, half):
-    """Fills boxes [C, 3] around the vertices of each cluster: ``members[starts[c] : starts[c + 1]]``."""
+    """Fill boxes [C, 3] around the vertices of each cluster: ``members[starts[c] : starts[c + 1]]``."""
     for c in range(len(starts) - 1):
         v = members[starts[c]]
         x0 = x1 = vertices[v, 0]
@@ -205,7 +205,7 @@ def fill_boxes(vertices, members, starts, center, half):
 
 
 def enclosing_box(center: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centre and half size, shape [2, 3] [m], of the box around boxes [C, 3]; zeros if there are none."""
+    """Return the centre and half size, shape [2, 3] [m], of the box around boxes [C, 3]; zeros if there are no boxes."""
     if not len(center):
         return np.zeros((2, 3))
     low, high = (center - half).min(0), (center + half).max(0)
@@ -213,7 +213,7 @@ def enclosing_box(center: NDArray[np.float64], half: NDArray[np.float64]) -> NDA
 
 
 def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Group of each vertex, shape [V]; vertices with equal positions and normals share a group.
+    """Return the group of each vertex, shape [V]; vertices with equal positions and normals share a group.
 
     So vertices duplicated for a texture seam keep a common normal when the mesh deforms, and those duplicated for a sharp
     edge do not.
@@ -227,7 +227,7 @@ def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -
 
 @kernel(boundscheck=False)
 def smooth_normals(vertices, faces, groups, sums, normals):
-    """Fills unit vertex normals [V, 3]: area-weighted face normals summed over each group.
+    """Fill ``normals`` [V, 3] with unit vertex normals: face normals weighted by area and summed over each group.
 
     ``sums`` float32 [groups, 3] is scratch.
     """

@@ -46,19 +46,19 @@ class CpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Sets transforms [n, 4, 4] of instances in one world."""
+        """Set transforms [n, 4, 4] of instances in one world."""
         self.worlds[world].set_transforms(instances, matrices)
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Shows or hides instances in one world."""
+        """Show or hide instances in one world."""
         self.worlds[world].set_visible(instances, visible)
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replaces the vertices [V, 3] of a deformable mesh in one world."""
+        """Replace the vertices [V, 3] of a deformable mesh in one world."""
         self.worlds[world].set_vertices(mesh, vertices)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Sets the capsules that cast soft shadows in one world; None removes them."""
+        """Set the capsules that cast soft shadows in one world; None removes them."""
         self.worlds[world].blockers = blockers
 
     def poses(self, world: int) -> Poses:
@@ -74,7 +74,7 @@ class CpuEngine:
         samples: int,
         out: Mapping[str, NDArray] | None,
     ) -> dict[str, NDArray]:
-        """Renders one image per camera and world, in several threads."""
+        """Render one image per camera and world, in several threads."""
         results = picture_arrays(cameras, outputs, out)
         # before the threads begin, which would otherwise write to the same arrays; depth needs no normals
         if "rgb" in outputs or "normal" in outputs:
@@ -236,18 +236,18 @@ class World:
             self.surface = scene.surface._replace(normals=scene.surface.normals.copy())
 
     def shown(self, hidden_layers: tuple[str, ...]) -> NDArray[np.bool_]:
-        """Visibility of instances [I] for a camera that hides layers."""
+        """Return whether each instance [I] is visible to a camera that hides layers."""
         if not hidden_layers:
             return self.visible
         return self.visible & ~np.isin(self.scene.layers, hidden_layers)
 
     def state(self, shown: NDArray[np.bool_]) -> Shown:
-        """Returns the current state on which a picture with these visible instances [I] depends."""
+        """Return the current state that determines a picture with these visible instances [I]."""
         tints = np.ones((len(shown), 4), np.float32) if self.blockers is None else self.blockers.tints.copy()
         return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 
     def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Sets transforms [n, 4, 4] of instances."""
+        """Set transforms [n, 4, 4] of instances."""
         self.matrix[instances] = matrices
         # for ever: what has never moved is prepared once for rays (`h3data_rays`), so what moves must
         # stay out of it
@@ -255,12 +255,12 @@ class World:
         self.version += 1
 
     def set_visible(self, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Shows or hides instances."""
+        """Show or hide instances."""
         self.visible[instances] = visible
         self.version += 1
 
     def set_vertices(self, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replaces the vertices [V, 3] of a deformable mesh; keeps the array."""
+        """Replace the vertices [V, 3] of a deformable mesh, and keep the array."""
         scene, geometry = self.scene, self.geometry
         self.vertices[mesh] = vertices
         self.version += 1
@@ -278,7 +278,7 @@ class World:
             self._stale_normals.add(mesh)
 
     def refresh_normals(self) -> None:
-        """Updates the smooth normals of deformed meshes."""
+        """Update the smooth normals of deformed meshes."""
         for mesh in sorted(self._stale_normals):
             first, end = self.scene.first_vertex[mesh : mesh + 2]
             groups = self.scene.groups[mesh]
@@ -288,13 +288,13 @@ class World:
         self._stale_normals.clear()
 
     def poses(self) -> Poses:
-        """A copy of the state."""
+        """Return a copy of the state."""
         # copies, since the world goes on while somebody looks at them
         return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
 
 
 def view_of(camera: Camera, *, fine: int = 1) -> View:
-    """A planar camera as the kernels read it, with ``fine`` times as many pixels per axis; the caller sets ``reach``."""
+    """Convert a planar camera to a `View`, with ``fine`` times as many pixels per axis; the caller sets ``reach``."""
     k = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64) * fine
     pose = np.asarray(camera.pose, np.float64)
     return View(

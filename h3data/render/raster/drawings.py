@@ -68,7 +68,10 @@ class Drawings:
     _count: int = 0
 
     def of(self, key: bytes, view: View, *, draws: int, instances: int) -> Drawing:
-        """The drawing for an image. ``key`` says what has to be the same for two images to differ only by what has changed."""
+        """Return the drawing for an image.
+
+        Images with equal keys may differ only in what `Shown` records.
+        """
         self._count += 1
         standing = key in self._seen
         # removed and put back, so that the dictionary is in the order of the last use and the first one is dropped

@@ -126,7 +126,7 @@ class Target(NamedTuple):
 
 
 def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:
-    """Buffers for images of ``width`` x ``height`` with at most ``draws`` clusters of ``instances`` instances."""
+    """Allocate buffers for images of ``width`` x ``height`` with at most ``draws`` clusters of ``instances`` instances."""
     rows, columns = -(-height // TILE) * TILE, -(-width // TILE) * TILE
     stride = columns + TILE
     return Target(
@@ -144,7 +144,7 @@ def new_target(width: int, height: int, *, draws: int, instances: int) -> Target
 
 
 def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
-    """A z [m] slightly beyond all visible instances or ``view.far``, whichever is nearer."""
+    """Return a depth z [m] slightly beyond all visible instances or ``view.far``, whichever is nearer."""
     forward = view.axes[:, 2]
     rows = np.einsum("r,irc->ic", forward, placement.matrix)
     with np.errstate(all="ignore"):
@@ -157,7 +157,7 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
 
 @kernel(error_model="numpy", boundscheck=False)
 def rasterise(geometry, cutouts, placement, view, target, changed):
-    """Renders one image into ``target``; returns the number of clusters in the frustum.
+    """Render one image into ``target``; return the number of clusters in the frustum.
 
     ``changed`` [I] marks the instances that differ from those that ``target`` shows in the same view: only the tiles in
     which they are or were are drawn again. If its length is 0, everything is drawn.

@@ -37,7 +37,7 @@ from h3data.render.shade.cutouts import is_solid
 
 @kernel_part()
 def draw_cutouts(geometry, cutouts, view, target, order):
-    """Draws the clusters with holes in the given order, clipped at the near plane."""
+    """Draw the clusters with holes in the given order, clipped at the near plane."""
     row_bytes = np.uintp(target.inv_z.shape[1] * 4)
     inv_z_at = np.uintp(target.inv_z.ctypes.data)
     matrices_at = np.uintp(target.pixel_from_mesh.ctypes.data)

@@ -42,7 +42,7 @@ def nearness_of(z, view):
 
 @kernel_part()
 def screen_words(view):
-    """The camera's parameters for `setup_triangles`."""
+    """Return the camera's parameters for `setup_triangles`."""
     screen = np.empty(SCREEN_WORDS, np.float32)
     screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
     screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
@@ -51,7 +51,7 @@ def screen_words(view):
 
 @kernel_part()
 def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
-    """Returns whether all pixels in a range of tiles are nearer than ``inv_z``; updates stale bounds as needed."""
+    """Return whether all pixels in a range of tiles are nearer than ``inv_z``; update stale bounds as needed."""
     for ty in range(tile_y0, tile_y1 + 1):
         for tx in range(tile_x0, tile_x1 + 1):
             if bounds[ty, tx] >= inv_z:
@@ -67,7 +67,7 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
 
 @kernel_part()
 def draw_clusters(geometry, cut_first, view, target, order):
-    """Draws the clusters in the given order, without those that cross the near plane or have holes (``cut_first`` >= 0)."""
+    """Draw the clusters in the given order, without those that cross the near plane or have holes (``cut_first`` >= 0)."""
     stride = target.inv_z.shape[1]
     row_bytes = np.uintp(stride * 4)
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
@@ -138,13 +138,13 @@ def draw_clusters(geometry, cut_first, view, target, order):
 
 @kernel_part(forceinline=True)
 def has_near_plane(view):
-    """Returns whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
+    """Return whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
     return view.near > 0 or view.parallel
 
 
 @kernel_part()
 def draw_cut(geometry, cut_first, view, target, order):
-    """Draws the clusters that cross the near plane, which `draw_clusters` skips: clipped and filled one by one."""
+    """Draw the clusters that cross the near plane, which `draw_clusters` skips: they are clipped and filled one by one."""
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)
@@ -168,7 +168,7 @@ def draw_cut(geometry, cut_first, view, target, order):
 
 @kernel_part(forceinline=True)
 def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-    """`hidden` for one triangle of a packet after set-up."""
+    """Apply `hidden` to one triangle of a packet after set-up."""
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
     return hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

@@ -32,7 +32,7 @@ _ROWS_AHEAD = 2
 
 @kernel_part(forceinline=True)
 def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """Fills a triangle at most 8 pixels wide with one block per row."""
+    """Fill a triangle at most 8 pixels wide with one block per row."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
     e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
     y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
@@ -66,7 +66,7 @@ def _cut(low, high, edge, step, minus_inverse):
 
 @kernel_part(forceinline=True, error_model="numpy")
 def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """Fills a triangle up to 64 pixels wide and high: float32 spans per row, then blocks, which test each pixel."""
+    """Fill a triangle up to 64 pixels wide and high: float32 spans per row, then blocks, which test each pixel."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
     e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
     minus_one, zero = np.float32(-1), np.float32(0)
@@ -108,7 +108,7 @@ def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @kernel_part(forceinline=True)
 def camera_corners(soup, to_camera, corners):
-    """Fills the triangle's corners in camera space [9]; returns the smallest z."""
+    """Fill ``corners`` [9] with a triangle's corners in camera space; return the smallest z."""
     nearest = np.inf
     for v in range(3):
         for r in range(3):
@@ -124,7 +124,7 @@ def camera_corners(soup, to_camera, corners):
 
 @kernel_part(error_model="numpy")
 def clip_near(pieces, near):
-    """Clips the triangle pieces[0] in camera space at z = near to 0 to 2 triangles [2, 9]; returns their number."""
+    """Clip the triangle ``pieces[0]`` at z = near in camera space, into 0 to 2 triangles [2, 9]; return their number."""
     polygon, count, corners = np.empty((4, 3)), 0, pieces[0]
     for v in range(3):
         a, b = corners[3 * v : 3 * v + 3], corners[3 * ((v + 1) % 3) : 3 * ((v + 1) % 3) + 3]
@@ -146,7 +146,10 @@ def clip_near(pieces, near):
 
 @kernel_part()
 def visible_box(p, view):
-    """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye plane."""
+    """Return the pixel box of the part of a triangle in front of the eye plane.
+
+    The box is (x0, x1, y0, y1) with ends included; it is empty if x1 < x0.
+    """
     fx, fy, cx, cy = view.intrinsics
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
     # not zero: a corner in the plane of the eye is infinitely far away on the screen
@@ -186,7 +189,7 @@ def cut_exact(low, high, edge, step, minus_inverse):
 
 @kernel_part(inline="always", error_model="numpy")
 def edge_functions(p, view, x0, y0):
-    """Homogeneous edge functions (Olano & Greer 1997) and nearness of a triangle [9] in camera space, in double.
+    """Compute homogeneous edge functions (Olano & Greer 1997) and nearness of a triangle [9] in camera space, in double.
 
     Returns whether the triangle has an area; the three barycentrics over z (orthographic: the barycentrics) and nearness
     at pixel (x0, y0); their increments per pixel to the right; and their increments per pixel downwards.
@@ -228,7 +231,7 @@ def edge_functions(p, view, x0, y0):
 
 @kernel_part(error_model="numpy")
 def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
-    """Fills any triangle [9] in camera space by `edge_functions`, which need no clipping. Modifies ``p``."""
+    """Fill any triangle [9] in camera space by `edge_functions`, which need no clipping; ``p`` is changed."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
     if is_near:
         x0, x1, y0, y1 = visible_box(p, view)

@@ -10,7 +10,7 @@ from h3data.render.raster.raster import CLUSTER, INSTANCE
 
 @kernel(error_model="numpy", boundscheck=False)
 def read_depth(inv_z, depth):
-    """Fills z-depth [H, W] [m], 0 in the background."""
+    """Fill ``depth`` [H, W] with the z-depth of each pixel [m]; 0 in the background."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             w = inv_z[y, x]
@@ -19,7 +19,7 @@ def read_depth(inv_z, depth):
 
 @kernel(boundscheck=False)
 def read_parallel_depth(nearness, reach, depth):
-    """`read_depth` for an orthographic camera."""
+    """Fill ``depth`` [H, W] as `read_depth` does, for an orthographic camera."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             w = nearness[y, x]
@@ -28,7 +28,7 @@ def read_parallel_depth(nearness, reach, depth):
 
 @kernel(boundscheck=False)
 def read_ids(words, draws, ids_of_instances, ids):
-    """Fills an id per pixel [H, W] from a table per instance [I], -1 in the background."""
+    """Fill ``ids`` [H, W] with the id of each pixel, from a table of instances [I]; -1 in the background."""
     last, found = np.int32(-1), np.int32(-1)
     for y in range(ids.shape[0]):
         for x in range(ids.shape[1]):
@@ -41,7 +41,7 @@ def read_ids(words, draws, ids_of_instances, ids):
 
 @kernel(boundscheck=False)
 def read_triangles(words, draws, cluster_packets, packet_triangles, triangles):
-    """Fills the mesh's triangle per pixel [H, W], -1 in the background."""
+    """Fill ``triangles`` [H, W] with the index of each pixel's triangle in its mesh; -1 in the background."""
     for y in range(triangles.shape[0]):
         for x in range(triangles.shape[1]):
             word = words[y, x]

@@ -40,7 +40,7 @@ SCREEN_WORDS = 4
 
 @intrinsic
 def count_trailing_zeros(typing_context, bits):
-    """Index of the lowest set bit of a non-zero int32."""
+    """Return the index of the lowest set bit of a non-zero int32."""
 
     def codegen(context, builder, signature, arguments):
         # 1: undefined for zero, for which some processors would need a second instruction
@@ -51,7 +51,7 @@ def count_trailing_zeros(typing_context, bits):
 
 @intrinsic
 def tile_minimum(typing_context, address, row_bytes):
-    """Smallest float32 in the 8x8 block at ``address``."""
+    """Return the smallest float32 in the 8x8 block at ``address``."""
 
     def codegen(context, builder, signature, arguments):
         address, row_bytes = arguments
@@ -74,7 +74,7 @@ _f, _p, _i = types.float32, types.uintp, types.int32
 
 @intrinsic
 def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_dx, e2_dx, inv_z_dx, word):
-    """Writes nearness and word of 8 pixels in a row where no edge value is negative and nearness exceeds the buffer's."""
+    """Write nearness and word of 8 pixels in a row where no edge value is negative and nearness exceeds the buffer's."""
 
     def codegen(context, builder, signature, arguments):
         inv_z_at, word_at, *values, word = arguments
@@ -95,7 +95,7 @@ def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_
 
 @intrinsic
 def fetch_ahead(typing_context, address):
-    """Asks for the cache line at ``address``, which may lie anywhere."""
+    """Prefetch the cache line at ``address``, which may lie anywhere."""
 
     def codegen(context, builder, signature, arguments):
         fetch(builder, arguments[0])
@@ -195,7 +195,7 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
 
 @intrinsic
 def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """Transforms, projects, culls and sets up the 8 triangles of one packet.
+    """Transform, project, cull and set up the 8 triangles of one packet.
 
     Takes the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera space with its
     first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS, 8]. Returns three
@@ -210,7 +210,7 @@ def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
 
 @intrinsic
 def setup_parallel_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """`setup_triangles` for an orthographic camera; the last row of the matrix maps to nearness."""
+    """Set up triangles as `setup_triangles` does, for an orthographic camera; the matrix's last row maps to nearness."""
 
     def codegen(context, builder, signature, arguments):
         return _emit_setup(builder, *arguments, parallel=True)

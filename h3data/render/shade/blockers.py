@@ -82,7 +82,7 @@ def blocker_rows(
     share: NDArray[np.floating],
     reach_m: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """The words of capsules.
+    """Return the rows of capsules for the kernels.
 
     Args:
         capsules: Both ends of the axes and radii [N, 7] [m]. Those that are not finite are left out.
@@ -167,7 +167,7 @@ NO_BLOCKERS = Tiled(
 
 
 def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int) -> Tiled:
-    """The capsules that matter to each tile of an image with ``factor`` samples along each axis of a pixel."""
+    """Find the capsules that can shade each tile of an image with ``factor`` samples along each axis of a pixel."""
     if blockers is None:
         return NO_BLOCKERS
     nothing = NO_BLOCKERS._replace(tints=blockers.tints)
@@ -342,14 +342,14 @@ def _matters(rows, n, around):
 # --- inside the shading kernel -------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def owner_of(blockers, target, word):
-    """Group of the instance that a pixel's word shows, -1 = none."""
+    """Return the group of the instance that a pixel's word shows; -1 if it has no group."""
     instance = target.draws[word >> 7, INSTANCE]
     return blockers.tints[instance, 3]
 
 
 @kernel_part(forceinline=True)
 def set_rays(rays, lane, view, axes, u, v, step):
-    """Fills the rays from ``lane`` on, whose pixel looks along (u, v, 1), the next one along (u + step, v, 1), and so on.
+    """Fill the rays from ``lane`` on: the first pixel looks along (u, v, 1), the next along (u + step, v, 1), and so on.
 
     ``axes`` are those of the directions.
     """
@@ -365,7 +365,7 @@ def set_rays(rays, lane, view, axes, u, v, step):
 
 @kernel_part()
 def block_pixels(blockers, tile, rays, near_at, owners_at, only, strip_at, row_bytes, scratch):
-    """Dims 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile.
+    """Dim 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile.
 
     ``only`` is the group of all 8, or -1; its own capsules are skipped.
     """

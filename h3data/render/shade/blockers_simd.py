@@ -87,7 +87,7 @@ _p = types.uintp
 
 @intrinsic
 def begin_block(typing_context, rays_at, near_at, scratch_at):
-    """Computes the positions of 8 pixels from their rays and 1/z; all their light is left."""
+    """Compute the positions of 8 pixels from their rays and 1/z, and set the light that is left to all of it."""
 
     def codegen(context, b, signature, arguments):
         rays_at, near_at, scratch_at = arguments
@@ -118,7 +118,7 @@ def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, 
 
 @intrinsic
 def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, scratch_at):
-    """Multiplies AMBIENT of 8 pixels by what a capsule leaves, seen from the nearest point of its axis.
+    """Multiply AMBIENT of 8 pixels by the share of light that a capsule leaves, seen from the nearest point of its axis.
 
     ``strip_at`` is the address of a strip of 6 rows of which the last three hold normals (`shading_simd.light_block`).
     """
@@ -148,7 +148,7 @@ def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, 
 
 @intrinsic
 def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
-    """Multiplies DIRECTED of 8 pixels by what a capsule leaves: the sphere around the point nearest to the ray to the light."""
+    """Multiply DIRECTED of 8 pixels by the share that a capsule leaves: a sphere at its point nearest the ray to the light."""
 
     def codegen(context, b, signature, arguments):
         blocker_at, owners_at, scratch_at = arguments
@@ -182,7 +182,10 @@ def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
 
 @intrinsic
 def end_group_block(typing_context, blocker_at, strip_at, row_bytes, scratch_at):
-    """Multiplies LEFT by what a group leaves; ``blocker_at`` is any capsule of it. DIRECTED and AMBIENT are 1 again."""
+    """Multiply LEFT by the share that a group of capsules leaves, and reset DIRECTED and AMBIENT to 1.
+
+    ``blocker_at`` is any capsule of the group.
+    """
 
     def codegen(context, b, signature, arguments):
         blocker_at, strip_at, row_bytes, scratch_at = arguments
@@ -205,7 +208,7 @@ def end_group_block(typing_context, blocker_at, strip_at, row_bytes, scratch_at)
 
 @intrinsic
 def dim_levels_block(typing_context, near_at, strip_at, row_bytes, scratch_at):
-    """Multiplies the levels of 8 pixels that see something (1/z > 0) by LEFT."""
+    """Multiply the levels of 8 pixels that see something (1/z > 0) by LEFT."""
 
     def codegen(context, b, signature, arguments):
         near_at, strip_at, row_bytes, scratch_at = arguments

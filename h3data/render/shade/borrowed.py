@@ -12,7 +12,7 @@ from h3data.kernels.vectors import intrinsic
 
 @intrinsic
 def borrowed(typing_context, value):
-    """The same array, or tuple of arrays, without ownership of its memory; the caller must keep it alive.
+    """Return the same array, or tuple of arrays, without ownership of its memory; the caller must keep it alive.
 
     Numba increments a reference count whenever an array is taken out of a tuple.
     """

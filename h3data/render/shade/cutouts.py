@@ -37,7 +37,7 @@ class Cutouts(NamedTuple):
 
 
 def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Returns whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
+    """Return whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
 
     Conservative: counts clear texels in the triangles' bounding boxes by a summed-area table.
     """
@@ -64,7 +64,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
 def pack_cutouts(
     cut_out: NDArray[np.bool_], surface: Surface, cluster_packets: NDArray[np.int32], textures: Sequence[Texture]
 ) -> Cutouts:
-    """The tables of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
+    """Build the tables of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
     if not cut_out.any():
         return Cutouts(
             first=np.zeros(0, np.int32),
@@ -104,7 +104,7 @@ def pack_opacity(textures: Sequence[Texture]) -> tuple[NDArray[np.int32], NDArra
 
 
 def has_holes(opacity: NDArray[np.uint8]) -> bool:
-    """Returns whether some but not all texels [H, W] are less than half opaque."""
+    """Return whether some but not all texels [H, W] are less than half opaque."""
     clear = opacity < SOLID
     return bool(clear.any() and not clear.all())
 
@@ -126,7 +126,7 @@ def _texel_before(coordinate, size):
 
 @kernel_part()
 def is_solid(maps, opacity, texture, s, t):
-    """Returns whether a texture with holes is at least half opaque at (s, t) [repeats]."""
+    """Return whether a texture with holes is at least half opaque at (s, t), in repeats of the texture."""
     first, width, height = maps[texture, 0], maps[texture, 1], maps[texture, 2]
     column, right = _texel_before(s, width)
     row, lower = _texel_before(t, height)
@@ -139,7 +139,7 @@ def is_solid(maps, opacity, texture, s, t):
 
 @kernel()
 def solid_points(maps, opacity, textures, uv):
-    """`is_solid` of points: ``textures`` [N], uv [N, 2]; shape [N]."""
+    """Return `is_solid` of points, shape [N]; ``textures`` [N], ``uv`` [N, 2]."""
     out = np.ones(len(textures), np.bool_)
     for k in range(len(textures)):
         out[k] = is_solid(maps, opacity, textures[k], uv[k, 0], uv[k, 1])

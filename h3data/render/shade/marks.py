@@ -17,7 +17,7 @@ been shaded."""
 
 @kernel_part()
 def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
-    """Fills the marks of a row [W + 8] of the picture; returns whether there are any.
+    """Fill the marks of a row [W + 8] of the picture; return whether there are any.
 
     ``drawn`` are the tiles of 8 pixels of the target, which has ``factor`` times the picture's size, that were drawn again;
     ``occlusion_changed`` marks pixels of half the resolution, of which each lights its neighbours; ``cast_changed`` the
@@ -55,7 +55,7 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
 
 @kernel_part()
 def mark_run(marks, begin, end):
-    """Marks the pixels of a run that may have belonged to another run before."""
+    """Mark the pixels of a run that may have belonged to another run in the last picture."""
     # the pixel before may have been of the same run, which then began earlier and had other blocks
     other = begin > 0 and (marks[begin - 1] & SEEN) != 0
     for x in range(begin, end):
@@ -67,7 +67,9 @@ def mark_run(marks, begin, end):
 
 @kernel_part()
 def next_blocks(marks, begin, low, end):
-    """The next blocks of 8 from ``begin`` on with marked pixels, from ``low`` on: their first pixel and end, marked as shaded.
+    """Find the next blocks with marked pixels and mark them as shaded; return their first pixel and their end.
+
+    Blocks of 8 are counted from ``begin``; the search starts at ``low``.
 
     Both are ``end`` if there are none.
     """
@@ -94,7 +96,7 @@ def _any(marks, low, high):
 
 @kernel_part(forceinline=True)
 def any_shaded(marks, x):
-    """Returns whether one of 8 pixels is shaded."""
+    """Return whether one of 8 pixels is shaded."""
     found = False
     for k in range(x, x + 8):
         found |= (marks[k] & SHADED) != 0

@@ -102,7 +102,7 @@ def receded(view: View, target: Target) -> NDArray[np.float32]:
 
 
 def occlude(view: View, target: Target, samples: int, *, before: Occlusion | None = None) -> Occlusion:
-    """Occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
+    """Compute the occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
 
     For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the image
     that the target showed before, in the same view, it is brought up to date instead, which gives the same numbers.
@@ -252,7 +252,7 @@ def _clear_edges(planes, height, width):
 
 @kernel_part()
 def dim_row(occlusion, strength, y, width, near_at, strip, marks):
-    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z [W + 8].
+    """Dim an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z [W + 8].
 
     Blocks of 8 pixels none of which is marked as shaded (`marks`) are left out.
     """
@@ -283,7 +283,7 @@ def dim_row(occlusion, strength, y, width, near_at, strip, marks):
 
 @kernel_part(error_model="numpy")
 def light_left(occlusion, strength, x, y, near):
-    """Share of the light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
+    """Return the share of light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
     inv_z, planes = occlusion.inv_z, occlusion.planes
     # up to four coarse pixels, with repetitions where the pixel coincides with a coarse row or column, as in `dim_block`
     total, weights = 0.0, NOWHERE

@@ -119,7 +119,7 @@ _p = types.uintp
 
 @intrinsic
 def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y, row, table_at):
-    """Computes occlusion of 8 neighbouring coarse pixels, starting at (x, y).
+    """Compute occlusion of 8 neighbouring coarse pixels, starting at (x, y).
 
     Takes addresses of pixel (0, 0) in 1/z (two pixels around the image are readable), in z, and in the four results, which
     are ``plane_bytes`` apart: slopes of 1/z along x and y, sharpness [m] (see `_likeness`) and amount 0..1. ``row`` is the
@@ -140,7 +140,7 @@ def _likeness(nearness: Vec, expected: Vec, sharpness: Vec) -> Vec:
 
 @intrinsic
 def blur_block(typing_context, inv_z_at, slope_at, sharpness_at, source_at, target_at, step_bytes):
-    """Blurs the amounts of 8 coarse pixels along x or y: ``step_bytes`` to the next pixel, slopes at ``slope_at``."""
+    """Blur the amounts of 8 coarse pixels along x or y: ``step_bytes`` to the next pixel, slopes at ``slope_at``."""
 
     def codegen(context, b, signature, arguments):
         inv_z_at, slope_at, sharpness_at, source_at, target_at, step_bytes = arguments
@@ -213,7 +213,7 @@ def _emit_dimming(
 def dim_block(
     typing_context, inv_z_at, planes_at, plane_bytes, lower_bytes, near_at, strip_at, strip_bytes, half_row, strength
 ):
-    """Dims 8 pixels of a strip of linear levels (3 rows of int32) by the amounts of the surrounding coarse pixels.
+    """Dim 8 pixels of a strip of linear levels (3 rows of int32) by the amounts of the surrounding coarse pixels.
 
     Takes addresses of the coarse pixel above and left of the first pixel, in 1/z and in the results of `occlusion_block`.
     ``lower_bytes`` is the offset to the coarse row below: 0 if the row coincides with a coarse row (then ``half_row`` is 0,

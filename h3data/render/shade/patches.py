@@ -17,7 +17,7 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
 def smooth_patches(
     surface: Surface, vertices: Sequence[NDArray[np.float32]], first_face: NDArray[np.int64]
 ) -> NDArray[np.int32]:
-    """Number of the patch of each triangle, for all meshes one after another, shape [F].
+    """Return the number of each triangle's patch, for all meshes one after another, shape [F].
 
     Two triangles of a mesh that share an edge belong to one patch if the ends of the edge are the same for both: place,
     colour, normal, texture coordinates and gloss; where a mesh has no normals, the triangles also have to face the same

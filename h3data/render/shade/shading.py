@@ -77,9 +77,9 @@ class Light:
     headlight: Color = (0.08, 0.08, 0.08)
     """Light from the camera; keeps shapes readable where no other light reaches."""
     horizon: Color = (0.80, 0.85, 0.90)
-    """Background at eye level and below."""
+    """Background colour at eye level and below."""
     zenith: Color = (0.45, 0.60, 0.80)
-    """Background straight up."""
+    """Background colour straight up."""
     occlusion: float = 0.7
     """Strength of the darkening of corners and contacts, 0..1; 0 switches it off at no cost."""
     shadow_rays: int = 0
@@ -111,7 +111,7 @@ _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
 
 
 def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Linear values, unchanged up to 0.75 and compressed smoothly above, approaching 1 at infinity."""
+    """Compress linear values: unchanged up to 0.75, compressed smoothly above, approaching 1 at infinity."""
     shoulder = 0.75
     # the slope at the shoulder is 1 on both sides, so that no band shows there
     rest = 1 - shoulder
@@ -144,7 +144,7 @@ class KeptPicture:
 
 
 def light_table(light: Light) -> NDArray[np.float32]:
-    """The words of a light, as laid out in `shading_simd`, shape [27]."""
+    """Return the words of a light, as laid out in `shading_simd`, shape [27]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
     directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
@@ -164,7 +164,7 @@ def shade(
     patches: NDArray[np.int32] | None = None,
     kept: KeptPicture | None = None,
 ) -> None:
-    """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
+    """Fill ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
     ``blockers`` keep light from ``rgb``.
     With ``patches`` [F] (`patches.smooth_patches`), target and view have twice the size of ``rgb``: pixels whose four

@@ -52,7 +52,7 @@ class Cache(NamedTuple):
 
 
 def new_cache() -> Cache:
-    """An empty cache."""
+    """Return an empty cache."""
     return Cache(
         np.full(CACHE_SIZE, -1, np.int32),
         np.empty((CACHE_SIZE, 3, 3)),
@@ -63,13 +63,13 @@ def new_cache() -> Cache:
 
 @kernel_part(forceinline=True)
 def slot_of(word):
-    """Slot of the triangle of a pixel's word."""
+    """Return the slot of the triangle of a pixel's word."""
     return (word ^ (word >> 10)) & (CACHE_SIZE - 1)
 
 
 @kernel_part(forceinline=True)
 def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel):
-    """Caches the triangle of a pixel's word; ``pixel`` is the size (x, y) of a pixel at z = 1."""
+    """Cache the triangle of a pixel's word; ``pixel`` is the size (x, y) of a pixel at z = 1."""
     instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
     packet = geometry.cluster_packets[cluster, 0] + ((word & 127) >> 3)
     lane = word & 7

@@ -138,7 +138,7 @@ def _emit_light(
 
 @intrinsic
 def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
-    """Lights 8 neighbouring pixels of one triangle.
+    """Light 8 neighbouring pixels of one triangle.
 
     Takes the addresses of the tables described above and of a strip of 6 rows: three receive linear levels (int32), three
     the unit normal (float32).
@@ -156,7 +156,7 @@ def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row
 def light_coordinates_block(
     typing_context, block_at, attributes_at, light_at, strip_at, row_bytes, coordinates_at, coordinates_bytes
 ):
-    """`light_block` for a textured triangle; `texture_block` completes it.
+    """Light 8 pixels of a textured triangle as `light_block` does; `texture_block` completes it.
 
     The strip receives float32 colours instead of levels; S, T and LEVEL go to separate rows.
     """
@@ -173,7 +173,7 @@ def light_coordinates_block(
 def texture_block(
     typing_context, strip_at, row_bytes, coordinates_at, coordinates_bytes, base, blended, levels_at, words_at
 ):
-    """Multiplies the colours of `light_coordinates_block` by the texture and converts them to levels.
+    """Multiply the colours of `light_coordinates_block` by the texture and convert them to levels.
 
     ``base`` and ``blended`` are the levels of detail, see `textures_simd.texel`.
     """
@@ -194,7 +194,7 @@ def texture_block(
 
 @intrinsic
 def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
-    """Mixes mirrored light into the levels of 8 pixels, strip as in `light_block`: a hint, without tracing.
+    """Mix mirrored light into the levels of 8 pixels (strip as in `light_block`): an approximation without ray tracing.
 
     The share is Schlick's ("An Inexpensive BRDF Model", 1994); the light is that of an ambient cube in the mirrored
     direction (McTaggart 2004, "Half-Life 2 Source Shading").
@@ -241,7 +241,7 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
 
 @intrinsic
 def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
-    """Fills 8 neighbouring background pixels, from horizon to zenith by the ray's elevation; strip as in `light_block`."""
+    """Fill 8 neighbouring background pixels, from horizon to zenith by the ray's elevation; strip as in `light_block`."""
 
     def codegen(context, b, signature, arguments):
         block_at, light_at, strip_at, row_bytes = arguments
@@ -263,7 +263,7 @@ def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
 
 @intrinsic
 def equal_words(typing_context, address, word):
-    """Counts how many of the 8 int32 numbers at ``address`` equal ``word`` before the first one that does not."""
+    """Count how many of the 8 int32 numbers at ``address`` equal ``word`` before the first one that does not."""
 
     def codegen(context, b, signature, arguments):
         address, word = arguments
@@ -277,7 +277,7 @@ def equal_words(typing_context, address, word):
 
 @intrinsic
 def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
-    """Stores every second one of 16 float32 numbers, but ``instead`` where the int32 number at ``words_at`` is ``word``."""
+    """Store every second one of 16 float32 numbers, but ``instead`` where the int32 number at ``words_at`` is ``word``."""
 
     def codegen(context, b, signature, arguments):
         inv_z_at, words_at, word, instead, out_at = arguments
@@ -292,7 +292,7 @@ def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
 
 @intrinsic
 def write_colors(typing_context, strip_at, row_bytes, bytes_at, rgb_at):
-    """Writes red, green and blue (uint8) of 8 pixels: those at ``bytes_at`` for the levels in a strip's first three rows."""
+    """Write red, green and blue (uint8) of 8 pixels: those at ``bytes_at`` for the levels in a strip's first three rows."""
 
     def codegen(context, b, signature, arguments):
         strip_at, row_bytes, bytes_at, rgb_at = arguments

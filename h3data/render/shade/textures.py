@@ -36,7 +36,7 @@ class Textures(NamedTuple):
 
 
 def pack_textures(textures: Sequence[Texture]) -> Textures:
-    """Textures packed with all their levels, down to a single texel."""
+    """Pack textures with all their levels, down to a single texel."""
     words, levels, first = [np.zeros(0, np.uint32)], [], []
     offset = 0
     for texture in textures:
@@ -64,7 +64,9 @@ def pack_textures(textures: Sequence[Texture]) -> Textures:
 
 
 def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-    """Linear colours of a texture [H, W, 4] at full size and successively halved sizes down to one texel, each [h, w, 3].
+    """Compute linear colours of a texture [H, W, 4] at successively halved sizes.
+
+    The first level has full size, the last one texel; each is [h, w, 3].
 
     Averages boxes of two texels per axis (two and a fraction for odd sizes), weighted by opacity.
     """

@@ -16,7 +16,9 @@ ONE_LEVEL = 0.25
 
 
 def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
-    """Level at which a texel is as large as a pixel, 0 to ``last``, from the squared number of texels per pixel.
+    """Compute the level of detail at which a texel is as large as a pixel.
+
+    It is 0 to ``last``, from the squared number of texels per pixel.
 
     The logarithm is approximated linearly between powers of two, which is at most 0.05 levels too small.
     """
@@ -26,7 +28,9 @@ def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
 
 
 def texel(b: Any, coordinates: list[Vec], base: Any, blended: Any, levels_at: Any, words_at: Any) -> list[Vec]:
-    """Squared steps (`textures.WORD_SCALE`) of red, green and blue at ``coordinates``: s, t [repeats] and level of detail.
+    """Look up red, green and blue, as squared steps (`textures.WORD_SCALE`).
+
+    ``coordinates`` are s, t [repeats] and level of detail.
 
     All lanes use level ``base`` and, if ``blended`` is not 0, blend it with the next one according to their own level.
     ``levels_at`` is the texture's finest level.

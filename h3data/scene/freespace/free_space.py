@@ -114,7 +114,7 @@ class FreeSpace(FloorMap):
     def height_at(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return the height [...] [m] of the floor at points [..., 2].
 
-        A flight of stairs is a ramp. Continuous wherever one may be.
+        A flight of stairs counts as a ramp, so the height is continuous on all free floor.
         """
         return floor_heights(self.heights, self.floor_y, points)
 
@@ -232,7 +232,7 @@ class FreeSpace(FloorMap):
     ) -> NDArray[np.float64]:
         """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN when there is no path.
 
-        With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
+        Waypoints nearer than ``beyond_m`` are skipped (an inflated corner is an arc of points 5 cm apart).
         """
         return self.first_leg(a, b, beyond_m=beyond_m, max_snap_m=max_snap_m)[1]
 

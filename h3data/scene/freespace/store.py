@@ -76,7 +76,7 @@ def load(path: Path) -> tuple[FloorMap, Lattice | None]:
 
 
 def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice | None]:
-    """Return the cached free space of a key and its lattice, else a new one, which is cached if possible."""
+    """Return the free space of a key and its lattice, from the cache or newly built; a new one is cached if possible."""
     folder = cache_folder()
     if folder is None:
         return build(), None

@@ -94,7 +94,7 @@ def pose_in_frame(time_ns: int, frame: str, pose: Array) -> PoseInFrame:
 
 
 def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointStates:
-    """Return positions of a robot's joints [rad or m]."""
+    """Return the positions of a robot's joints [rad or m]."""
     joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
     return JointStates(timestamp=stamp(time_ns), joints=joints)
 
@@ -141,7 +141,7 @@ def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:
 
 
 def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
-    """Return an undistorted pinhole camera."""
+    """Return the Foxglove message of a pinhole camera without distortion."""
     k = np.asarray(camera.intrinsics, np.float64)
     return CameraCalibration(
         timestamp=stamp(time_ns),

@@ -74,7 +74,7 @@ def write_habitat_episodes(
         force: Replace a folder that an earlier export made.
 
     Raises:
-        InputError: a recording is of another task or lacks its scene or goals, or there is none.
+        InputError: there are no recordings, or one is of another task or lacks its scene or goals.
     """
     dataset = DatasetExport(folder, Path(folder).name, force=force)
     scenes: dict[str, tuple[Path, Mapping[str, str]]] = {}

@@ -44,7 +44,7 @@ def seek_success(
     """Return the steps followed so far (not necessarily consecutive) and whether they suffice, each [T].
 
     Raises:
-        ValueError: the configuration measures distances to the task's goal, and there is none.
+        ValueError: the configuration measures distances to the task's goal, but the task has no goal.
     """
     if task.goal_pos is None and (config.must_look_at_targ or not config.use_geo_distance):
         raise ValueError("needs the task's goal position")

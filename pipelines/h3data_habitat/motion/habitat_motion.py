@@ -51,7 +51,7 @@ def read_habitat_sequence(path: str | Path) -> HabitatClip:
 
 
 def motion_parts(path: str | Path) -> tuple[str, ...]:
-    """Return names of the parts in a motion file: ``walk_motion``, ``stop_pose``, ``pose_motion``, ..."""
+    """Return the names of the parts in a motion file: ``walk_motion``, ``stop_pose``, ``pose_motion``, ..."""
     return tuple(map(str, _content(Path(path))))
 
 

@@ -262,7 +262,7 @@ def slide(
 
 @kernel(error_model="numpy")
 def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
-    """End of a straight path from (x, z) to the target, as (polygon, x, z): the target, or the first wall.
+    """Return the end of a straight path from (x, z) to the target, or to the first wall, as (polygon, x, z).
 
     As in habitat-sim, a wall on which the path starts counts, even if the path leads away from it.
     """

@@ -129,7 +129,7 @@ class NavMesh:
         return np.bincount(self.islands[self.enabled], self.polygon_areas[self.enabled]).astype(np.float64)
 
     def island_polygons(self, island: int) -> NDArray[np.int64]:
-        """Return indices of the polygons of an island."""
+        """Return the indices of the polygons of an island."""
         self._check(island)
         return np.flatnonzero(self.islands == island)
 

@@ -126,7 +126,7 @@ class PathFinder:
         return length if length < np.inf else None
 
     def _paths(self, start: ArrayLike, ends: NDArray[np.float64]) -> list[tuple[float, NDArray[np.float64]]]:
-        """Length and way points to each end."""
+        """Length and waypoints to each end."""
         a = _point(start)
         if self.free_space is None:
             return [way(self._graph, a, end) for end in ends]
@@ -134,7 +134,7 @@ class PathFinder:
         return [self._flat_path(p, self._nearest(end)[1:]) for end in ends]
 
     def _flat_path(self, p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, NDArray[np.float64]]:
-        """Length and way points over the `FreeSpace` between points of its surface, NaN where there is none."""
+        """Length and waypoints over the `FreeSpace` between points of its surface, NaN where there is none."""
         assert self.free_space is not None
         flat = self.free_space.path(p[::2], q[::2], max_snap_m=ENDS_TOUCH_M)
         points = np.stack([flat[:, 0], np.full(len(flat), self.free_space.floor_y), flat[:, 1]], axis=1)

@@ -104,7 +104,7 @@ def default_positions(robot: Robot) -> NDArray[np.float64]:
 
 
 def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
-    """Return columns of the joint positions in the order in which habitat-sim numbers them, shape [J].
+    """Return the columns of the joint positions in the order in which habitat-sim numbers them, shape [J].
 
     ``urdf_order`` is that of the file; else ("tree_traversal") depth first, children by the name of their link.
     """

@@ -31,7 +31,7 @@ from h3data_homes.style import Style
 
 
 class NoRoomError(SceneError):
-    """A necessary piece of furniture does not fit, so that another plan has to be tried."""
+    """Error about a necessary piece of furniture that does not fit, so that another plan has to be tried."""
 
 
 def backed(piece: Furniture, x: float = 0.0) -> Member:

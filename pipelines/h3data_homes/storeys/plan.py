@@ -164,7 +164,7 @@ def _turned_to_well(layout: Layout, *, high: bool) -> tuple[Layout, tuple[str, f
     Also returns the doorway: (room, middle in z).
 
     Raises:
-        SceneError: no wall has room for one.
+        SceneError: no wall has room for the stairwell.
     """
     found = []
     for swap in (False, True):

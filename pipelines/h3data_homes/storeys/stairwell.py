@@ -55,7 +55,7 @@ def _sign(well: Well) -> int:
 
 
 def riser(well: Well, k: int) -> float:
-    """Place in z of riser ``k``, from 0 [m]."""
+    """Return the z of riser ``k``, counted from 0 [m]."""
     return well.ramp.start + _sign(well) * (k + 0.5) * GOING_M
 
 

@@ -28,7 +28,7 @@ class LanguageTemplates:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line per template."""
+        """Return a table with a row for each template."""
         from h3data_language.templates import TEMPLATES
 
         rows = [[t.name, t.kind, t.wordings[0]] for t in TEMPLATES]
@@ -73,7 +73,10 @@ class LanguageVerify:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a table by type of task; exit code 1 if a home has too few tasks, or an episode raised an error."""
+        """Verify the tasks and return a table by type of task.
+
+        The exit code is 1 if a home has too few tasks, or an episode raised an error.
+        """
         from h3data_language.verification import digest_of, rows_of_kinds, skip_table, tasks_in, verify_homes
         from h3data_pipelines.jobs.result_files import write_table
 
@@ -143,7 +146,10 @@ class LanguageAttach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return a line for each reason with its recordings; exit code 1 if some are left out, 2 if all are."""
+        """Attach the tasks and return a row for each reason why recordings were left out.
+
+        The exit code is 1 if some are left out, and 2 if all are.
+        """
         from h3data.commands.command import claim_file
         from h3data.recording import write_mcap
         from h3data.recording.finding import find_episodes

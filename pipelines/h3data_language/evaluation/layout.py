@@ -70,7 +70,7 @@ class Layout(msgspec.Struct, frozen=True):
         """Read the layout in the info of a recording.
 
         Raises:
-            InputError: there is none, or it is malformed.
+            InputError: the recording has no layout, or the layout is malformed.
         """
         try:
             layout = msgspec.convert(info.get(LAYOUT), cls)

@@ -108,7 +108,7 @@ class Benchmark:
         """Return the identity of each episode (`episode_uid`), in their order.
 
         Raises:
-            FormatError: the list of episodes is missing or is not one.
+            FormatError: the list of episodes is missing or malformed.
         """
         path = self.folder / EPISODES
         try:
@@ -147,7 +147,7 @@ def find_benchmark(name: str) -> Benchmark:
     """Return a benchmark by its name (the newest version), name and version, or folder.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: no benchmark has this name.
         FormatError: its files are damaged, or of another version of the format.
     """
     labels = benchmark_labels()

@@ -183,7 +183,7 @@ def read_result(folder: Path) -> BenchmarkResult:
     """Return the result in a folder.
 
     Raises:
-        InputError: the folder holds none.
+        InputError: the folder contains no result.
         FormatError: the file is damaged, or of a newer version.
     """
     path = folder / MANIFEST

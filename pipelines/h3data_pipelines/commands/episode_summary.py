@@ -72,7 +72,7 @@ class EpisodeSummary:
         return {**asdict(self), "instructions": list(self.instructions), "warnings": list(self.warnings)}
 
     def to_text(self) -> str:
-        """Return lines for people."""
+        """Return the summary as lines of text."""
         starts = "sampled when they are played"
         if self.complete:
             of = "" if self.complete == self.episodes else f" in {self.complete:,} episodes, else {starts}"

@@ -353,7 +353,7 @@ def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
 
 
 def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> list[int]:
-    """Return numbers of the shards in the episode tables, optionally only those that have steps."""
+    """Return the numbers of the shards in the episode tables, optionally only those that have steps."""
     rows = dataset.rows
     return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
 

@@ -127,7 +127,8 @@ def file_jobs(
     ``seed`` decides what the file leaves to chance: the starts in Habitat's own files.
 
     Raises:
-        FormatError: damaged. InputError: an option contradicts the file, or none of its episodes can be played.
+        FormatError: the file is damaged.
+        InputError: an option contradicts the file, or none of its episodes can be played.
         SceneError: no scene is found.
     """
     from h3data.recording.task_episodes.episode_files import episode_files
@@ -240,7 +241,7 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
     """Write the episodes of jobs as a file from which `file_jobs` makes the same jobs; return reasons for left-out ones.
 
     Raises:
-        SceneError: none can be sampled.
+        SceneError: no episode can be sampled.
     """
     from h3data.recording.task_episodes.episode_files import episode_files
     from h3data.recording.task_episodes.rearrange_episode import EpisodeSet

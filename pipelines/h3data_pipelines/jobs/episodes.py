@@ -57,7 +57,7 @@ class Job:
     stored: StoredEpisode | None = None
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
-    """Set or file that the episode comes from, and its number there, as in the recording."""
+    """Episode set or file from which the episode comes, and its number there, as in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
@@ -273,7 +273,7 @@ class SampledEpisode:
     """Name of the scene on the command line."""
     source: SceneSource
     origin: dict[str, Any] | None = None
-    """Set that the episode comes from, and its number there."""
+    """Episode set from which the episode comes, and its number in that set."""
 
 
 def check_numbers(
@@ -308,12 +308,14 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Return episodes in the scenes of ``scenes``: all of a set by default, else 10, in turn.
+    """Return jobs for episodes in the given scenes.
 
-    Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
+    By default all episodes of a set are played, or else 10 episodes in the scenes in turn.
+
+    If ``scenes`` has several names, the scenes of all are used; a set has the same episodes as when it is named alone.
 
     Raises:
-        InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
+        InputError: a task, scene, agent or policy does not exist (the message lists what does), or a set has fewer episodes.
     """
     from h3data.scene.open import named_scenes
     from h3data.scene.scene_sets import find_scene_set
@@ -367,7 +369,7 @@ class SampledJobs(Sequence[Job]):
 
 
 def scenes_of(jobs: Sequence[Job]) -> list[str]:
-    """Return names of the scenes, in the order in which they are first played."""
+    """Return the names of the scenes, in the order in which they are first played."""
     return list(dict.fromkeys(job.scene for job in (jobs.one_round if isinstance(jobs, SampledJobs) else jobs)))
 
 
@@ -407,7 +409,7 @@ def checked(choices: Choices) -> Choices:
     """Return the choices with learned policies by the digest of their weights, after a check of all names.
 
     Raises:
-        InputError: no such task, agents, policy or body.
+        InputError: there is no such task, agent, policy or body.
     """
     from h3data.bodies import load_humanoid
     from sim_kinematic.agents.roster import HUMAN_BODY, kinds_of, make_roster

@@ -207,7 +207,7 @@ def evaluate_task(
         progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
 
     Raises:
-        InputError: an option cannot be, or the folder holds results of other options, or anything else.
+        InputError: an option is invalid, or the folder contains results of other options or other files.
         FormatError: a file among the results is not a result.
     """
     check_options(resume=resume, force=force, workers=workers, executor=executor)

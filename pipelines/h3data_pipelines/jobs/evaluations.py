@@ -193,7 +193,7 @@ def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
     of their weights.
 
     Raises:
-        InputError: there is none, or no file matches.
+        InputError: the option selects no policy, or no file matches the pattern.
     """
     from sim_kinematic.policies.learned import stamped
 

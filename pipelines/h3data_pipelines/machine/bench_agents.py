@@ -145,7 +145,7 @@ class HumanAgent:
             grip_objects(state, palms, values[:, 1], ArmSpec(), agent=self.number)
 
     def _way_points(self, goals: Array) -> Array:
-        """Next way points [W, 2]; whoever has arrived sets out for their goal of ``goals`` [W, 2]."""
+        """Next waypoints [W, 2]; whoever has arrived sets out for their goal of ``goals`` [W, 2]."""
         here, points = self.own.xz, self.own.xz.copy()
         for w, goal in enumerate(goals):
             path = self._paths[w]

@@ -331,7 +331,7 @@ def _lost(shard: Shard, error: H3DataError) -> RenderedShard:
 
 
 class DiskFullError(InputError):
-    """The disk has no space left for the results."""
+    """Error about a disk that has no space left for the results."""
 
 
 @contextmanager

@@ -23,7 +23,7 @@ class Rows:
 
     @classmethod
     def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
-        """Return rows of episodes with these numbers of rows, at least one each."""
+        """Return the rows of episodes with these numbers of rows, at least one each."""
         ends = np.cumsum(counts, dtype=np.int64)
         return cls(starts=ends - np.asarray(counts, np.int64), total=int(ends[-1]))
 
@@ -64,7 +64,7 @@ class Rows:
         return changes
 
     def begins(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
+        """Return the rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
         before = np.zeros_like(flags)
         before[1:] = flags[:-1]
         before[self.starts] = False

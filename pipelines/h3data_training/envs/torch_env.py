@@ -207,7 +207,7 @@ def checked_device(device: torch.device | str) -> torch.device:
     """Return the device of this name.
 
     Raises:
-        InputError: there is none that this torch can use.
+        InputError: this build of torch cannot use a device of this name.
     """
     try:
         chosen = torch.device(device)

@@ -209,7 +209,7 @@ def arrays_of(networks: Sequence[SkillPolicyNetwork], device: torch.device) -> d
 def encode(
     shown: Mapping[str, Tensor], agent: str, objects: int, *, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Tensor, Tensor]:
-    """Return inputs of each object [W, K, F] and the rest [W, R].
+    """Return the inputs of each object [W, K, F] and the other inputs [W, R].
 
     They are those of `sim_kinematic.policies.choosers.chooser_network.encoded`.
     """

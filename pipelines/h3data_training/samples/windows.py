@@ -54,7 +54,7 @@ class WindowDataset:
         """Windows over ``episodes`` (default: all that are committed now).
 
         Raises:
-            InputError: no such column or episode; a length or stride out of range.
+            InputError: there is no such column or episode, or a length or stride is out of range.
         """
         if history < 1 or horizon < 0 or stride < 1:
             raise InputError(

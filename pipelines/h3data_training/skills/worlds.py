@@ -119,7 +119,7 @@ class ActionRepeatSkills(ActionRepeat):
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return columns of the learning curve that follow from the totals by name."""
+        """Return the columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

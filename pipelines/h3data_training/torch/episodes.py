@@ -68,7 +68,7 @@ class EpisodeBank:
         ``task`` is social navigation by default, and ``spec`` its rules.
 
         Raises:
-            InputError: as `EpisodeSource`, or the task is not of one robot and one person.
+            InputError: as for `EpisodeSource`, or the task does not have exactly one robot and one person.
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
@@ -158,7 +158,7 @@ def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Way points of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
+    """Waypoints of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]
     steps = 0

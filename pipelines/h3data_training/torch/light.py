@@ -134,7 +134,7 @@ class AgentLight:
 
 
 def directed(cubes: Tensor) -> tuple[Tensor, Tensor]:
-    """Direction [..., 3] of most of the light from six sides [..., 6, 3], and its share [...], as of `LightField.at`."""
+    """Return the direction [..., 3] and share [...] of most of the light from six sides [..., 6, 3], as `LightField.at`."""
     bright = cubes.mean(-1)
     vector = bright[..., 1::2] - bright[..., 0::2]
     length, everywhere = vector.square().sum(-1).sqrt(), bright.sum(-1) / 1.5

@@ -192,7 +192,7 @@ class TensorRollout:
         return self._sim.extra(name)[self._now.episode]
 
     def path_length(self, agent: int, points: Tensor) -> Tensor:
-        """Return lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return the lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
         return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
@@ -402,7 +402,7 @@ class TaskTensors:
         return SensorContext(self.spec, self.base, play.memory, (), world, ROBOT, *agents, *touched, arm, path, torch)  # type: ignore[arg-type]
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Return sensors of the robot by name, float32 [W, n] each."""
+        """Return the sensors of the robot by name, float32 [W, n] each."""
         sensors, moment = self.task.sensors("robot"), self.context(play)
         return {name: sensed(name, sensors[name], moment, self.task.name, "robot").float() for name in names}
 

@@ -49,7 +49,7 @@ def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) ->
 
     Raises:
         MissingExtraError: usd-core is not installed.
-        FormatError: it is no USD file, or a damaged one.
+        FormatError: the file is not a USD file, or is damaged.
         MissingAssetError: files are missing to which the stage refers.
         SceneError: there is nothing in it, or too much; with ``strict`` also any warning.
     """

@@ -95,7 +95,7 @@ def open_stage(path: Path) -> OpenStage:
 
     Raises:
         MissingExtraError: usd-core is not installed.
-        FormatError: it is no USD file, its units are senseless, or a package refers to files outside itself.
+        FormatError: the file is not a USD file, its units are invalid, or a package refers to files outside itself.
     """
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     if not path.is_file():

@@ -20,24 +20,30 @@ class ReachQuery(NamedTuple):
     """Place to reach, with the doors and drawers as they are at that time."""
 
     scene: Scene
-    """Home with the doors and drawers around the place open."""
+    """Home in which the doors and drawers around the place are open."""
     point: Array
     """Position of the place with these doors and drawers open, shape [3] [m]."""
     taken: NDArray[np.float64]
     """Floor points [P, 2] below open parts."""
     opened: tuple[tuple[ArticulatedParts, int], ...] = ()
-    """Parts that have to be opened, in order: the home before, and the number of the joint."""
+    """Doors and drawers to open, in order: for each, the parts of the home before it opens, and the number of its joint.
+    """
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:
-    """Return whether an instance slides; its contents are reached from above, however low the room that it slides into."""
+    """Return whether an instance is a drawer.
+
+    Its contents are reached from above, however low the space into which it slides.
+    """
     joints = joints_of(scene)
     k = joints.owner.get(instance.name, -1)
     return k >= 0 and joints.parts[k][1].joint.kind == "prismatic"
 
 
 def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | None:
-    """Return a world point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
+    """Return how to reach a world point [3] on a receptacle (``instance|receptacle``) once doors and drawers are open.
+
+    Only the doors and drawers that enclose the receptacle are opened.
 
     Returns None if they cannot be opened.
     """

@@ -44,7 +44,7 @@ def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -
 
 
 def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
-    """Return positions of a joint from its present one to the farther end of its range."""
+    """Return the positions of a joint from its present one to the farther end of its range."""
     share = float(openables.joints.shares(openables.positions)[k])
     return openables.travel(k, opens=share < 0.5)
 

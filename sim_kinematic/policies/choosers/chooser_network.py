@@ -109,7 +109,7 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Array, Array]:
-    """Return inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
+    """Return the network's inputs from observations by name: those of each object [K, F] and the rest [R], float32.
 
     The last columns of both mark the choice that has been interrupted.
 

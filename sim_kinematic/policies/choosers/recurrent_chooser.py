@@ -43,7 +43,7 @@ class RecurrentSkillPolicy:
             robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
-            FormatError: The network is for another number of objects or the other agent.
+            FormatError: The network is for a different number of objects or for the other agent.
         """
         card, agent = network.card, "robot" if robot else "human"
         if card.agent != agent:

@@ -19,7 +19,7 @@ SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
 def recorded_skills(skills: str) -> str:
-    """Return names of learned skills as recordings hold them.
+    """Return the names of learned skills as recordings hold them.
 
     They are files of weights with the digests of their contents, separated by commas; or ``learned@`` and one digest of
     all three for the skills that ship with the package.

@@ -78,7 +78,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
     samples_starts: ClassVar[bool] = True
 
     def record(self, episode: Episode) -> StoredRearrangement:
-        """Record of an episode: goals, starts of the first robot and person, objects, rules and scene."""
+        """Return the record of an episode: goals, starts of the first robot and person, objects, rules and scene."""
         assert isinstance(episode, RearrangeEpisode)
         robot, human = episode.pair_starts.places.tolist()
         record = StoredRearrangement(
@@ -104,13 +104,16 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
     def entry(
         self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
-        """Entry of an episode file, in the form of Habitat's rearrangement episodes with our record in its info."""
+        """Return the entry of an episode file: Habitat's rearrangement episode, with the record in its info."""
         return rearrangement_entry(
             record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredRearrangement | None:
-        """Record in an entry of a file, None if it belongs to another task; incomplete ones get the seed for sampling."""
+        """Return the record in an entry of a file, or None if it is of another task.
+
+        An incomplete record gets the seed from which the rest is sampled.
+        """
         record = read_rearrangement(entry)
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
@@ -119,7 +122,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
-        """Return rules in a record; without any, the default rules for its number of objects.
+        """Return the rules in a record; without any, the default rules for its number of objects.
 
         Raises:
             InputError: the rules and the goals disagree about the number of objects.
@@ -135,13 +138,13 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
-        """Return names of object assets that are not installed, in whose place boxes are used."""
+        """Return the names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         return tuple(episode_files().stand_ins(source, record.objects, record.object_paths))
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
-        """Episode of a record in an opened scene; parts that the record lacks are sampled with its seed."""
+        """Return the episode of a record in an opened scene; parts that the record lacks are sampled with its seed."""
         spec: RearrangeSpec = place.spec
         count = len(record.goals) + len(record.placements)
         if spec.objects != count:
@@ -242,7 +245,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
-        """Episode of a recording, from the rules, starts and goals in its info.
+        """Return the episode of a recording, from the rules, starts and goals in its info.
 
         Raises:
             InputError: the recording lacks one of them.
@@ -293,7 +296,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         )
 
     def instruction(self, episode: Episode) -> str:
-        """Instruction of the episode file, or one sentence that names each object and its goal."""
+        """Return the instruction of the episode file, or else a sentence that names each object and its goal."""
         assert isinstance(episode, RearrangeEpisode)
         if episode.wording:
             return episode.wording
@@ -302,7 +305,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return " and ".join(f"bring the {thing} to {place}" for thing, place in zip(things, places, strict=True))
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts, objects and goals for the recording's info."""
+        """Return policies, rules, starts, objects and goals for the recording's info."""
         assert isinstance(episode, RearrangeEpisode)
         return {
             "policy": _robots_policy(policies),
@@ -318,7 +321,10 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         }
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, agents, seed, policies and rules; for episodes from files also from their places."""
+        """Return an identifier of the episode, derived from scene, agents, seed, policies and rules.
+
+        For episodes from files it depends on their places too.
+        """
         assert isinstance(episode, RearrangeEpisode)
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
@@ -331,7 +337,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return uid_of(what)
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
+        """Return why the episode ended, and ``solo_steps``: the paper's ``L_human``, on which relative efficiency is based."""
         assert isinstance(episode, RearrangeEpisode)
         # one agent with this plan has just played the reference itself
         alone = [policy.plan for policy in policies] == ["both"]
@@ -357,7 +363,9 @@ def sampled_starts(
     targets: tuple[Target, ...],
     pair: tuple[str, str],
 ) -> Starts:
-    """Starts for goals that a file gives: those from which a person alone can do the work in time, else the best tried.
+    """Sample starts for goals that a file gives.
+
+    They are starts from which a person alone can do the work in time, or else the best of those tried.
 
     Raises:
         SceneError: the scene has no two starts so far apart.
@@ -475,7 +483,7 @@ def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = Rearra
     """Return the rules that `rules_to_json` wrote; what they do not name is as in the paper.
 
     Raises:
-        InputError: they are none of rearrangement.
+        InputError: the rules are not rules of rearrangement.
     """
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:

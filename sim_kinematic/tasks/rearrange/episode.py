@@ -156,13 +156,16 @@ ORACLE_RULES = RearrangeSpec(
 
 
 def with_oracle_skills(spec: Any) -> Any:
-    """Rules, also of a task derived from rearrangement, with those for oracle skills taken from `ORACLE_RULES`."""
+    """Return rules of rearrangement, or of a derived task, with the fields for oracle skills taken from `ORACLE_RULES`."""
     fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
     return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
 
 
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
-    """Return the rules of an episode that is sampled in a home now: its floor moves if something there opens by full skills."""
+    """Return the rules of an episode that is sampled in a home.
+
+    Its floor moves if something in the home opens and agents have full skills.
+    """
     return replace(spec, floor_moves=bool(scene.articulations) and spec.oracle is None)
 
 
@@ -214,7 +217,7 @@ class RearrangeEpisode(Episode):
         return load_humanoid(self.pair[1])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
-        """Episode with other agents.
+        """Return the episode with other agents.
 
         Raises:
             InputError: there are no such agents.
@@ -226,7 +229,7 @@ class RearrangeEpisode(Episode):
 
 
 def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
-    """Bodies of the first robot and the first person; the default ones where there is none."""
+    """Return the bodies of the first robot and the first person; the default bodies where a kind is missing."""
     # backwards, so that the first of each kind is the one that stays
     models = {member.kind: member.model for member in reversed(roster)}
     return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
@@ -241,7 +244,7 @@ def body_indices(episode: RearrangeEpisode) -> list[int]:
 def starts_of(
     scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[AgentSpec]
 ) -> Array:
-    """Return the drawn starts of the first robot and the first person, and places for the others."""
+    """Return the sampled starts of the first robot and the first person, and places for the others."""
     kinds = kinds_of(cast)
     taken: dict[int, Array] = {}
     if "robot" in kinds:
@@ -256,7 +259,7 @@ def starts_of(
 def draw_episode(
     scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, robot: Robot, human: Humanoid
 ) -> tuple[Starts, tuple[Target, ...]]:
-    """Starts, objects and goals of the episode with this seed."""
+    """Sample the starts, objects and goals of the episode with this seed."""
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
     movable, doorways = _movable(scene, spec), RoomDoors.of(scene, free)
@@ -318,7 +321,7 @@ def seconds_alone(
     starts: Starts,
     targets: tuple[Target, ...],
 ) -> float:
-    """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
+    """Estimate the time that a person alone takes for all objects [s]; infinite where an object or goal is out of reach."""
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
     return draw.seconds_alone(starts, targets)

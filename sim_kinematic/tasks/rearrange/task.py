@@ -106,7 +106,7 @@ class Rearrange(Task):
     def draw(
         self, scene: Scene, free: FreeSpace, seed: int, spec: Any, robot: Robot, person: Humanoid
     ) -> tuple[Starts, dict[str, Any]]:
-        """Starts of robot and person, and the fields of the episode that are sampled besides."""
+        """Sample the starts of robot and person, and further fields of the episode."""
         starts, targets = draw_episode(scene, free, seed, spec, robot, person)
         return starts, {"targets": targets}
 
@@ -147,7 +147,7 @@ class Rearrange(Task):
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`), and with parts that open, if any."""
+        """Return the sensors with objects and skills (`sim_kinematic.sensing.table.SENSES`), and those of parts that open."""
         return SENSES if not self.Spec.parts else {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
 
     @property
@@ -156,7 +156,7 @@ class Rearrange(Task):
         return RearrangeCodec(self)
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Maker of the learned or planning policy of a name, with the agent's own seed; None for other names."""
+        """Return the maker of a learned or planning policy, which uses the agent's own seed; None for other names."""
         if is_learned(name):
             # only for its check: it raises if the network does not fit
             if spec is not None:

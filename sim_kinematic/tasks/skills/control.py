@@ -146,7 +146,7 @@ class SkillControl(Control):
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return numbers of all agents, since every skill that is chosen is recorded."""
+        """Return the numbers of all agents, since every skill that is chosen is recorded."""
         del names
         return set(range(len(recording.agents)))
 

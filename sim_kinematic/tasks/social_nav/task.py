@@ -62,7 +62,7 @@ class SocialNavState:
     goal: NDArray[np.int64]
     """Number of the goal that a scripted person walks to, -1 before the first one and for people without a script."""
     leg: NDArray[np.int64]
-    """Index of the way point within the path to the goal."""
+    """Index of the waypoint within the path to the goal."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
 

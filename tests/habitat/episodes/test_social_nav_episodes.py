@@ -1,4 +1,4 @@
-"""Social-navigation episodes in Habitat's files: starts and way points that come back."""
+"""Social-navigation episodes in Habitat's files: starts and waypoints that come back."""
 
 from __future__ import annotations
 

@@ -236,7 +236,7 @@ def test_paths_are_taut_and_free(free):
         far = path[1:][np.linalg.norm(path[1:] - path[0], axis=1) > 0.4]
         assert length == float(free.geodesic(p, q))
         np.testing.assert_array_equal(waypoint, far[0] if len(far) else path[-1])
-        # whoever walks to a way point finds the rest of the same path from there
+        # whoever walks to a waypoint finds the rest of the same path from there
         assert float(free.geodesic(path[1], q)) == pytest.approx(steps[1:].sum(), abs=1e-5)
 
 

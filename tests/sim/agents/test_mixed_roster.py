@@ -53,7 +53,7 @@ def drawn(home: Scene, free: FreeSpace) -> RearrangeEpisode:
 
 
 def random_actions(worlds: AgentWorlds, rng: np.random.Generator) -> list[np.ndarray]:
-    """Drives at random, and way points within half a metre."""
+    """Drives at random, and waypoints within half a metre."""
     drives = [rng.uniform(-1, 1, (worlds.state.worlds, 2)) for _ in worlds.state.robots]
     return drives + [p.xz + rng.uniform(-0.5, 0.5, (worlds.state.worlds, 2)) for p in worlds.state.people]
 

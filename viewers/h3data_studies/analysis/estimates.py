@@ -152,7 +152,11 @@ class StudyAnalysis:
 
 
 def study_layout(profile: Profile) -> StudyLayout:
-    """Return how a profile's metrics are analysed: as it declares, else all of them, contrasting its steps, if any."""
+    """Return how a study analyses a profile's metrics.
+
+    A profile may declare this. Otherwise all its metrics are analysed, and its number of steps, if it has one, is
+    contrasted.
+    """
     if profile.report.study is not None:
         return profile.report.study
     names = profile.report.columns or tuple(m.name for m in profile.metrics)

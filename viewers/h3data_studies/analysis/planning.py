@@ -80,7 +80,7 @@ def plan_sessions(
         seed: The same seed gives the same plan.
 
     Raises:
-        InputError: a repeated id, or a scene with too few episodes.
+        InputError: an id occurs twice, or a scene has too few episodes.
     """
     if isinstance(participants, int):
         width = max(2, len(str(participants)))

@@ -161,7 +161,7 @@ def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
     """Return the participant with a number (P-...) or an id at the recruiting platform.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such participant.
     """
     from h3data_studies.files import key_file
     from h3data_studies.pseudonyms import read_key, recruit_ids

@@ -206,7 +206,7 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
     """Return participants whose data count.
 
     Raises:
-        InputError: there are none.
+        InputError: no participant has finished.
     """
     from h3data_studies.flow import COMPLETE
 

@@ -53,7 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the example."""
+        """Write the files of an example study."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")
@@ -187,7 +187,7 @@ def running(folder: Path) -> Iterator[None]:
     """Lock the folder of a study in a block, so that only one process changes it.
 
     Raises:
-        InputError: another one does.
+        InputError: another process has locked the folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("a") as lock:

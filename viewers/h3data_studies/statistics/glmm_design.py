@@ -23,7 +23,7 @@ Family = Literal["poisson", "binomial"]
 
 
 class SeparationError(InputError):
-    """Some coefficient has no finite estimate: a level or a combination of levels determines the response."""
+    """Error about a coefficient without a finite estimate: a level or a combination of levels determines the response."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

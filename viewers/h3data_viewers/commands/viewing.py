@@ -110,7 +110,7 @@ class View:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the file whose ending names its format."""
+        """Write the recording as a file in the format that its ending names."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
             raise InputError(

@@ -313,7 +313,7 @@ def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
         Columns by name; empty if the folder holds neither `CURVES_FILE` nor `RUN_CURVES_FILE`.
 
     Raises:
-        InputError: the file is no table of numbers, or has no column of steps.
+        InputError: the file is not a table of numbers, or has no column ``step``.
     """
     import pyarrow as pa
     from pyarrow import csv, parquet

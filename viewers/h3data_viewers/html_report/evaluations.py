@@ -81,7 +81,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
     """Yield every result of an evaluation, with the profile of its metrics.
 
     Raises:
-        FormatError: a file is no result of ``h3data evaluate``.
+        FormatError: a file is not a result of ``h3data evaluate``.
     """
     try:
         task = str(json.loads((root / "table.json").read_text(encoding="utf-8"))["job"]["task"])

@@ -292,7 +292,7 @@ def highlight_card(
     replays: ReplayFiles | None = None,
     folder: Path | None = None,
 ) -> HighlightCard:
-    """Plan with both tracks, key frames, distance over time and the metrics of one episode.
+    """Return a plan with both tracks, key frames, distance over time and the metrics of one episode.
 
     ``posed`` makes the `Replay` of a recording, to be seen in ``light``;
     ``replays`` takes an HTML replay of the episode, which the card links; the recording is named from ``folder``.

@@ -1,1 +1,1 @@
-"""Compiled: clips, legs, the joint tree and reaching, for many poses or for one."""
+"""Compiled functions for people: clips, legs, the joint tree and reaching, for many poses or for one."""

@@ -50,7 +50,7 @@ _THUMBS = np.array([[JOINT_INDEX[f"{side}_thumb{k}"] for k in (1, 2, 3)] for sid
 
 @kernel(error_model="numpy")
 def curl_fingers(quats, curl):
-    """Bends each finger joint of a pose [55, 4] further by ``curl`` [2] (left, right hand) [rad], in place.
+    """Bend each finger joint of a pose [55, 4], in place, by a further ``curl`` [2] (left and right hand) [rad].
 
     The thumb comes in from its side.
     """
@@ -116,7 +116,7 @@ def _shortened(a, b, most):
 
 @kernel(error_model="numpy")
 def turn_gaze(offsets, quats, pelvis, base, target, looks, turning, gaze):
-    """Turns head and eyes of a pose, in place, by one step towards a world point, or back to where the pose has them.
+    """Turn the head and the eyes of a pose, in place, one step towards a world point or back to where the pose has them.
 
     The agent root is at ``base`` [7]; ``target`` [3] is the point, if the person ``looks`` at one.
 

@@ -37,7 +37,9 @@ def _mix(low, high, share):
 
 @kernel(error_model="numpy")
 def sample_all(table, motion, phase, blend, ground, quats, pelvis):
-    """Poses [T] of clips at phases, led to standing where ``blend`` is below 1, into quats [T, 55, 4] and pelvis [T, 3].
+    """Sample poses [T] of clips at their phases into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3].
+
+    Where ``blend`` is below 1, a pose is led towards standing.
 
     ``ground`` [T, 2], or [0, 2] where the floor is flat.
     """
@@ -79,7 +81,7 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
 
 @kernel(error_model="numpy")
 def tuck_all(quats, shares, joints, tucked):
-    """Blends a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4], in place.
+    """Blend a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4], in place.
 
     ``shares`` [T, 2] are the weights of the rotations, 0..1. Returns False, and changes nothing, if some are not
     finite.
@@ -98,7 +100,7 @@ def tuck_all(quats, shares, joints, tucked):
 
 @kernel_part()
 def write_frame(parent, q, x, y, z, frame):
-    """The frame [4, 4] of a joint from its parent's, its local rotation and its place there."""
+    """Write the frame [4, 4] of a joint, from the frame of its parent, its local rotation and its place in that frame."""
     i, j, k, w = q
     # written out: products of small arrays would be allocated and called through BLAS
     a, b, c = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
@@ -122,7 +124,11 @@ def _write_tree(quats, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def joint_frames(base, quats, pelvis, offsets, parents, frames):
-    """Frames [T, 55, 4, 4] of all joints from agent roots [T or 1, 7], local rotations [T, 55, 4] and pelvis places [T, 3]."""
+    """Fill ``frames`` [T, 55, 4, 4] with those of all joints in the world.
+
+    ``base`` [T or 1, 7] holds the agent roots, ``quats`` [T, 55, 4] the local rotations, ``pelvis`` [T, 3] the places
+    of the pelvis.
+    """
     unit, world = np.eye(4), np.empty((4, 4))
     for t in range(len(quats)):
         root = base[t if len(base) > 1 else 0]
@@ -133,7 +139,7 @@ def joint_frames(base, quats, pelvis, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def free_joint_frames(root, quats, offsets, parents, frames):
-    """Frames [T, 55, 4, 4] of all joints.
+    """Fill ``frames`` [T, 55, 4, 4] with those of all joints in the world.
 
     ``root`` are the frames of the pelvis in the world [T, 7], ``quats`` the local rotations of the others [T, 54, 4].
     """

@@ -30,7 +30,7 @@ from h3data.kernels import kernel, kernel_part
 WRIST_MAX = math.radians(70.0)
 """Largest angle of a wrist from the direction of the forearm [rad]."""
 NECK_SHARE = 0.4
-"""Share of a turn of the head that the neck does."""
+"""Share of a turn of the head that comes from the neck."""
 
 _SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
@@ -38,7 +38,7 @@ _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 
 @kernel_part()
 def chest_of(offsets, quats, pelvis):
-    """Rotation and place of the uppermost joint of the spine of a pose."""
+    """Return the rotation and the place of the uppermost joint of the spine of a pose."""
     turn, at = row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2])
     for joint in _SPINE:
         at = plus(at, turned(turn, row3(offsets, joint)), 1.0)
@@ -57,7 +57,7 @@ def _clipped_turn(q, most):
 
 @kernel(error_model="numpy")
 def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, share):
-    """Moves one arm of a pose, in place, so that its palm is at ``target`` [3] [m], as far as arm and wrist reach.
+    """Move one arm of a pose, in place, so that its palm is at ``target`` [3] [m], as far as arm and wrist reach.
 
     If ``has_turn``, the palm is turned as ``turn`` [4]. ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4] and
     ``pelvis`` [3] are the pose. With a ``share`` below 1 the arm is between the pose (0) and the target (1).
@@ -92,6 +92,6 @@ def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, shar
 
 @kernel(error_model="numpy")
 def turn_head(quats, yaw, pitch):
-    """Turns the head of a pose, in place, to the left by ``yaw`` and down by ``pitch`` [rad]."""
+    """Turn the head of a pose, in place, to the left by ``yaw`` and down by ``pitch`` [rad]."""
     for joint, share in ((_NECK, NECK_SHARE), (_HEAD, 1 - NECK_SHARE)):
         put(quats, joint, multiply(from_vector(share * pitch, share * yaw, 0.0), row4(quats, joint)))

@@ -83,7 +83,7 @@ def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
 
 @kernel_part()
 def sinking(hips, longest, pelvis_turn, pelvis, ankles):
-    """Returns how far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
+    """Return how far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
     sink = 0.0
     for k in range(2):
         hip = plus(pelvis, turned(pelvis_turn, row3(hips, k)), 1.0)
@@ -96,7 +96,10 @@ def sinking(hips, longest, pelvis_turn, pelvis, ankles):
 
 @kernel_part()
 def lowest(feet, height, pitch, bend):
-    """Height of a sole's lowest point [m], heel or toe tip, of a foot with its ankle at ``height``; ``feet`` [3, 3]."""
+    """Return the height [m] of the lowest point of a sole.
+
+    It is the heel or the tip of the toes, of a foot ``feet`` [3, 3] with its ankle at ``height`` [m].
+    """
     turn, toes = math.radians(-pitch), math.radians(-pitch - bend)
     c, s = math.cos(turn), math.sin(turn)
     heel = c * feet[0, 1] - s * feet[0, 2]
@@ -107,7 +110,7 @@ def lowest(feet, height, pitch, bend):
 
 @kernel(error_model="numpy")
 def lowest_points(feet, ankle, foot, out):
-    """`lowest` of all frames into ``out`` [T, 2]: ankles [T, 2, 3] [m], angles of feet [T, 2, 3]."""
+    """Fill ``out`` [T, 2] with `lowest` of all frames: ankles [T, 2, 3] [m], angles of the feet [T, 2, 3]."""
     for t in range(len(out)):
         for k in range(2):
             out[t, k] = lowest(feet[k], ankle[t, k, 1], foot[t, k, 0], foot[t, k, 2])
@@ -122,7 +125,7 @@ def sink_pelvis(legs, quats, pelvis, ankle):
 
 @kernel_part()
 def write_legs(legs, quats, pelvis, ankle, foot, angles):
-    """Computes the local rotations of the leg joints of one pose, in place.
+    """Compute the local rotations of the leg joints of one pose, in place.
 
     ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
     ankle [m].
@@ -147,7 +150,7 @@ def write_legs(legs, quats, pelvis, ankle, foot, angles):
 
 @kernel(error_model="numpy")
 def write_all_legs(legs, quats, pelvis, ankle, foot, angles):
-    """`write_legs` of all frames: quats [T, 55, 4], pelvis [T, 3], ankle and foot [T, 2, 3], angles [T, 2, 3]."""
+    """Apply `write_legs` to all frames: quats [T, 55, 4], pelvis [T, 3], ankle and foot [T, 2, 3], angles [T, 2, 3]."""
     for t in range(len(quats)):
         write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], angles[t])
 
@@ -197,7 +200,7 @@ def stand_on(legs, quats, pelvis, ankle, ground):
 
 @kernel(error_model="numpy")
 def settle_all(legs, stand, quats, pelvis, ankle, foot, phase, blend, ground):
-    """`settle`, `stand_on` where ``ground`` [T, 2] has rows, and `write_legs` of all frames, in place."""
+    """Apply `settle`, `stand_on` (where ``ground`` [T, 2] has rows) and `write_legs` to all frames, in place."""
     angles = np.empty((2, 3))
     for t in range(len(quats)):
         settle(legs, stand, quats[t], pelvis[t], ankle[t], foot[t], phase[t], min(max(blend[t], 0.0), 1.0))

@@ -516,7 +516,7 @@ def _leave(table, k, f, state, foot, share):
 
 @kernel_part(borrows=True)
 def stand_at(table, state, x, z, heading):
-    """A state that stands at a root."""
+    """Set a state, in place, to that of a person who stands at a root."""
     for i in range(len(state)):
         state[i] = 0.0
     state[X], state[Z], state[HEADING] = x, z, heading
@@ -529,7 +529,7 @@ def stand_at(table, state, x, z, heading):
 
 @kernel_part(borrows=True)
 def is_settled(table, state):
-    """Returns whether both feet stand where a standing person's do."""
+    """Return whether both feet are where those of a standing person are."""
     k, f = _row(table, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
@@ -882,7 +882,7 @@ def _settle_pelvis(table, k, f, state, dt):
 
 @kernel_part(borrows=True)
 def pose_state(table, state, quats, pelvis, ankle, foot, angles):
-    """The pose of a state, into quats [55, 4] and pelvis [3] in the agent root frame."""
+    """Write the pose of a state into ``quats`` [55, 4] and ``pelvis`` [3], in the agent root frame."""
     k, f = _row(table, state[STYLE])
     low, high, share = _columns(table, state[SHOWN])
     for j in range(quats.shape[0]):
@@ -910,7 +910,7 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
 
 @kernel(error_model="numpy")
 def run_gaits(table, xz, heading, seconds, step_s, states):
-    """States [T, K] of a root that is at ``xz`` [T, 2] and ``heading`` [T]; it stands in the first row, and after jumps.
+    """Fill states [T, K] of a root at ``xz`` [T, 2] and ``heading`` [T]; the person stands in the first row and after jumps.
 
     Rows are ``seconds`` [T] after the one before; those that are further apart than ``step_s`` are gone through in several
     steps along a straight line.
@@ -938,7 +938,7 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
 
 @kernel(error_model="numpy")
 def pose_gaits(table, states, quats, pelvis):
-    """Poses of states [T, K], into quats [T, 55, 4] and pelvis [T, 3] in the agent root frame."""
+    """Write the poses of states [T, K] into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3], in the agent root frame."""
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     for t in range(len(states)):
         pose_state(table, states[t], quats[t], pelvis[t], ankle, foot, angles)
@@ -946,7 +946,7 @@ def pose_gaits(table, states, quats, pelvis):
 
 @kernel(error_model="numpy")
 def stand_one(table, state, x, z, heading):
-    """Puts one state [K] at a root, standing."""
+    """Put one state [K] at a root, standing."""
     stand_at(table, state, x, z, heading)
 
 
@@ -958,20 +958,20 @@ def step_one(table, state, x, z, heading, dt):
 
 @kernel(error_model="numpy")
 def stride_one(table, state, x, z, heading, dt, quats, pelvis):
-    """Does what `step_one` does, and writes the pose of the state after it as `pose_gaits` does, in one call."""
+    """Do what `step_one` does, and write the pose of the state after it as `pose_gaits` does, in one call."""
     step_gait(table, state, x, z, heading, dt)
     pose_state(table, state, quats, pelvis, np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)))
 
 
 @kernel(error_model="numpy")
 def one_stands(table, state):
-    """Returns whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
+    """Return whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
     return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
 
 
 @kernel(error_model="numpy")
 def plant_legs(table, state, quats, pelvis):
-    """Rewrites the legs of any pose, in place, so that the feet are where a state [K] has them.
+    """Rewrite the legs of any pose, in place, so that the feet are where a state [K] has them.
 
     The pose, quats [55, 4] and pelvis [3], is in the agent root frame. The pelvis sinks where a leg would be too short.
     """

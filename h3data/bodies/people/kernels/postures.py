@@ -57,7 +57,7 @@ def _lead(body, quats, collar, shoulder, place, palm, pole, twist, extension, sh
 
 @kernel(error_model="numpy")
 def lead_all(left, right, quats, pelvis, hands, palm, pole, twist, extension, curl):
-    """Leads both arms of poses to ``hands`` [T, 2, 4], places and shares from 0 to 1, in place.
+    """Lead both arms of poses, in place, to ``hands`` [T, 2, 4]: places, and shares from 0 to 1.
 
     The wrists are led there (``palm`` 0) or the palms (1), with twists of forearms and again of wrists, an extension of the
     wrists, and fingers that are bent by ``curl`` [rad]. The others are as of `gesture_all`.
@@ -76,7 +76,7 @@ def lead_all(left, right, quats, pelvis, hands, palm, pole, twist, extension, cu
 
 @kernel(error_model="numpy")
 def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, pole, raised):
-    """Adds gestures to poses as `h3data.bodies.people.gestures.add_gestures`, in place.
+    """Add gestures to poses, in place, as `h3data.bodies.people.gestures.add_gestures` does.
 
     Args:
         left: `ReachBody` of the left hand.
@@ -121,7 +121,7 @@ def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, p
 
 @kernel(error_model="numpy")
 def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
-    """Leads trunks and legs of poses to those of reaching for ``hands`` [T, 2, 4], places and shares, in place.
+    """Lead trunks and legs, in place, to poses that reach for ``hands`` [T, 2, 4]: places, and shares from 0 to 1.
 
     The others are as of `reach_many`.
     """
@@ -147,7 +147,7 @@ def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
 
 @kernel(error_model="numpy")
 def blend_rows(quats, rows, others, shares):
-    """Blends poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place; fingers stay."""
+    """Blend poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place; fingers stay."""
     for n in range(len(rows)):
         for j in range(BODY_JOINTS):
             put(quats[rows[n]], j, nlerp(row4(quats[rows[n]], j), row4(others[n], j), shares[n]))

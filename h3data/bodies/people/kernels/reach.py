@@ -119,7 +119,7 @@ def _bend(body, x, trunk, k, turn, at, quats):
 
 @kernel_part()
 def pose_arm(body, palm, collar, shoulder, target, pole, quats):
-    """Turns shoulder and elbow so that the ``palm`` is at ``target`` and the elbow points towards ``pole``.
+    """Turn shoulder and elbow so that the ``palm`` is at ``target`` and the elbow points towards ``pole``.
 
     The palm is given in the frame of the forearm, from the wrist; target and pole are in the frame of ``collar`` and
     ``shoulder``. The elbow is a hinge about the shoulder frame's y axis, so the distance determines its angle, and the
@@ -276,7 +276,10 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
 
 @kernel_part()
 def look_up(table, low, step, u, x):
-    """Trilinear interpolation of ``table`` [X, Y, Z, P] at ``u`` into ``x`` [P]; False where that is outside (clamped)."""
+    """Interpolate ``table`` [X, Y, Z, P] trilinearly at ``u`` into ``x`` [P].
+
+    Return whether ``u`` is inside the table; outside it is clamped.
+    """
     inside = True
     cell, share = np.empty(3, np.int64), np.empty(3)
     for k in range(3):
@@ -300,7 +303,7 @@ def look_up(table, low, step, u, x):
 
 @kernel_part()
 def fault(measures):
-    """Fault of a posture: `REACHED` if there is none, `TOO_FAR`, or `INVALID_POSTURE`."""
+    """Return the fault of a posture: `TOO_FAR`, `INVALID_POSTURE`, or `REACHED` for a posture without a fault."""
     if abs(measures[MISS]) > 1e-6:
         return TOO_FAR
     bad = measures[KNEE] > KNEE_MAX or measures[SHANK] > SHANK_MAX or measures[BALANCE] > 0.0
@@ -315,7 +318,10 @@ def fault(measures):
 
 @kernel_part()
 def reach_one(body, table, low, step, target, trunk, arm, root, x, quats, pelvis, measures):
-    """Posture for a target (3) [m] as of `reach_many`, with space for parameters ``x`` [P]. Returns its status."""
+    """Compute the posture for one target [3] [m] as `reach_many` does; return its status.
+
+    ``x`` [P] is space for its parameters.
+    """
     # the table is for the right hand: the left one looks its mirror image up
     u = (-body.sign * target[0] / body.scale, target[1] / body.scale, target[2] / body.scale)
     inside, turn = look_up(table, low, step, u, x), (root[0], root[1], root[2], root[3])
@@ -328,7 +334,9 @@ def reach_one(body, table, low, step, target, trunk, arm, root, x, quats, pelvis
 
 @kernel(error_model="numpy")
 def reach_many(body, table, low, step, targets, trunk, arm, root, quats, pelvis, measures, status):
-    """Postures for ``targets`` [T, 3] [m]: ``quats`` [T, 55, 4], ``pelvis`` [T, 3], ``measures`` [T, M], ``status`` [T].
+    """Compute postures for ``targets`` [T, 3] [m].
+
+    They are written to ``quats`` [T, 55, 4], ``pelvis`` [T, 3], ``measures`` [T, M] and ``status`` [T].
 
     ``root`` [4] turns the pelvis into the frame that the caller wants; the targets are in the body frame.
     """

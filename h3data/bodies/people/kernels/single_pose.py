@@ -9,14 +9,14 @@ from h3data.kernels import kernel, kernel_part
 
 @kernel(error_model="numpy")
 def blend_pose(a, b, share, out):
-    """Writes the blend of rotations [J, 4] as `h3data.geometry.quat_nlerp`, by one share, to ``out`` [J, 4]."""
+    """Write the blend of rotations [J, 4] by one share to ``out`` [J, 4], computed as `h3data.geometry.quat_nlerp` does."""
     for j in range(len(a)):
         put(out, j, nlerp(row4(a, j), row4(b, j), share))
 
 
 @kernel(error_model="numpy")
 def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
-    """Writes the world frame [4, 4] of the last joint of a ``chain`` [n] that leads to it from below the pelvis.
+    """Write the world frame [4, 4] of the last joint of a ``chain`` [n] that leads to it from below the pelvis.
 
     ``base`` [7] is the agent root, and ``quats`` [55, 4] and ``pelvis`` [3] are the pose, as of `joint_frames`.
     """
@@ -32,7 +32,7 @@ def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
 
 @kernel(error_model="numpy")
 def hold(frame, place, grip, upright, tilt, out):
-    """Writes the pose7 of a held thing to ``out`` [7]: it moves rigidly with a palm, except that its rotation is blended.
+    """Write the pose7 of a held thing to ``out`` [7]: it moves rigidly with a palm, except that its rotation is blended.
 
     Args:
         frame: frame of the wrist [4, 4].

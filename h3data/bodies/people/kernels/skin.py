@@ -9,7 +9,7 @@ from h3data.kernels import kernel
 
 @kernel(boundscheck=False)
 def pose_centers(frames, joints, centers, out):
-    """Fills ``out`` [N, K, 3] with ``centers`` [K, 3], each moved by one of the joint ``frames`` [N, J, 4, 4]."""
+    """Fill ``out`` [N, K, 3] with ``centers`` [K, 3], each moved by one of the joint ``frames`` [N, J, 4, 4]."""
     for n in range(len(frames)):
         for k in range(len(joints)):
             frame = frames[n, joints[k]]
@@ -22,7 +22,10 @@ def pose_centers(frames, joints, centers, out):
 
 @kernel(boundscheck=False)
 def frame_product(operator, palette, out):
-    """Fills ``out`` [V, 3] with a `FrameOperator` times ``palette`` [4J, 3]: SciPy's sums in SciPy's order, to the bit."""
+    """Fill ``out`` [V, 3] with the product of a `FrameOperator` and ``palette`` [4J, 3].
+
+    The sums are in SciPy's order, so that the result is the same bit for bit.
+    """
     count = len(operator.rows)
     x, y, z = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
     at = 0

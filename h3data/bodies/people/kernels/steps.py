@@ -28,7 +28,7 @@ of reach."""
 
 @kernel_part()
 def tread_length(heights):
-    """Going of the first flight of stairs [m]."""
+    """Return the going of the first flight of stairs [m]."""
     for k in range(len(heights)):
         if heights[k, STEPS] > 0.0:
             return abs(heights[k, END] - heights[k, START]) / heights[k, STEPS]
@@ -37,7 +37,7 @@ def tread_length(heights):
 
 @kernel_part()
 def beside_steps(heights, x, z):
-    """Returns whether a place is on a flight of stairs or right before it."""
+    """Return whether a place is on a flight of stairs or right before it."""
     k, _, place = step_at(heights, x, z)
     if k < 0:
         return False
@@ -114,7 +114,7 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
 
 @kernel_part()
 def over_steps(heights, x, z, heading, heel, toe, low, high, share):
-    """Height [m] of the floor below a swinging foot at (x, z) that has passed the ``share`` of its path over steps.
+    """Return the height [m] of the floor below a swinging foot at (x, z) that has passed ``share`` of its path over steps.
 
     The path leads from a floor at ``low`` to one at ``high``. It is never below the floor under heel and toe, and as
     high as the noses of the steps between them.

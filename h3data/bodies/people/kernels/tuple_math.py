@@ -9,7 +9,7 @@ from h3data.kernels import kernel_part
 
 @kernel_part()
 def multiply(a, b):
-    """Product of two quaternions."""
+    """Return the product of two quaternions."""
     return (
         a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
         a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
@@ -20,19 +20,19 @@ def multiply(a, b):
 
 @kernel_part()
 def inverse(q):
-    """Inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
 @kernel_part()
 def cross(a, b):
-    """Cross product of two vectors."""
+    """Return the cross product of two vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel_part()
 def dot(a, b):
-    """Dot product of two vectors."""
+    """Return the dot product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -44,7 +44,7 @@ def plus(a, b, share):
 
 @kernel_part()
 def unit(a):
-    """Unit vector in the direction of a vector; 0 for one shorter than 1e-12."""
+    """Return the unit vector in the direction of a vector; 0 for one shorter than 1e-12."""
     length = math.sqrt(dot(a, a))
     if length < 1e-12:
         return (0.0, 0.0, 0.0)
@@ -53,7 +53,7 @@ def unit(a):
 
 @kernel_part()
 def turned(q, v):
-    """Vector rotated by a unit quaternion."""
+    """Return a vector rotated by a unit quaternion."""
     # with t = 2 a x v, where a is the vector part: v + w t + a x t
     axis = (q[0], q[1], q[2])
     t = cross(axis, v)
@@ -69,14 +69,14 @@ def positive(q):
 
 @kernel_part()
 def normalized(q):
-    """Quaternion scaled to length 1; 0 stays 0."""
+    """Return a quaternion scaled to length 1; 0 stays 0."""
     length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length) if length > 0.0 else q
 
 
 @kernel_part()
 def nlerp(a, b, weight):
-    """Normalised linear blend along the shorter arc; weight 0 gives a, 1 gives b."""
+    """Return the normalised linear blend of two quaternions along the shorter arc; weight 0 gives a, 1 gives b."""
     dot4 = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     # -q is the same rotation; without this the blend would go the long way round
     b = (-b[0], -b[1], -b[2], -b[3]) if dot4 < 0 else b
@@ -93,7 +93,7 @@ def nlerp(a, b, weight):
 
 @kernel_part()
 def from_vector(x, y, z):
-    """Quaternion of a rotation vector."""
+    """Return the quaternion of a rotation vector."""
     angle = math.sqrt(x * x + y * y + z * z)
     # the limit of sin(angle / 2) / angle
     s = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
@@ -102,7 +102,7 @@ def from_vector(x, y, z):
 
 @kernel_part()
 def to_vector(q):
-    """Rotation vector of a quaternion, of at most half a turn."""
+    """Return the rotation vector of a quaternion, of at most half a turn."""
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     if sine < 1e-9:
         return (0.0, 0.0, 0.0)
@@ -115,7 +115,7 @@ def to_vector(q):
 
 @kernel_part()
 def from_axes(a, b, c):
-    """Quaternion of the rotation whose columns are a, b, c (Shepperd's method)."""
+    """Return the quaternion of the rotation whose columns are a, b and c (Shepperd's method)."""
     # the case with the largest component, which the others are divided by
     trace = a[0] + b[1] + c[2]
     if trace > max(a[0], b[1], c[2]):
@@ -132,25 +132,25 @@ def from_axes(a, b, c):
 
 @kernel_part()
 def row3(array, k):
-    """Row k of an array [N, 3] as a tuple."""
+    """Return row k of an array [N, 3] as a tuple."""
     return (array[k, 0], array[k, 1], array[k, 2])
 
 
 @kernel_part()
 def row4(array, k):
-    """Row k of an array [N, 4] as a tuple."""
+    """Return row k of an array [N, 4] as a tuple."""
     return (array[k, 0], array[k, 1], array[k, 2], array[k, 3])
 
 
 @kernel_part()
 def put(quats, joint, q):
-    """Writes a quaternion into row ``joint`` of an array [N, 4]."""
+    """Write a quaternion into row ``joint`` of an array [N, 4]."""
     quats[joint, 0], quats[joint, 1], quats[joint, 2], quats[joint, 3] = q
 
 
 @kernel_part()
 def segments_apart(p, q, a, b):
-    """Distance of the segments p-q and a-b (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    """Return the distance between the segments p-q and a-b (Ericson, Real-Time Collision Detection, 5.1.9)."""
     d1, d2, r = plus(q, p, -1.0), plus(b, a, -1.0), plus(p, a, -1.0)
     e1, e2, f = dot(d1, d1), dot(d2, d2), dot(d2, r)
     c, g = dot(d1, r), dot(d1, d2)

@@ -81,7 +81,7 @@ def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
 def vertex_colors(
     patch: Patch, slots: Floats, complexion: Complexion, *, tights: bool, scalp: float
 ) -> NDArray[np.uint8]:
-    """Return colors of a patch's vertices, uint8 [V, 3]. ``scalp``: how much hair covers the scalp."""
+    """Return the colors of a patch's vertices, uint8 [V, 3]. ``scalp``: how much hair covers the scalp."""
     colors = slots[patch.slots]
     if patch.paint.shape[1]:
         skin = np.array(complexion.skin, np.float32)

@@ -102,7 +102,7 @@ class RearrangeBank:
         """Return the first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
         Raises:
-            InputError: as `EpisodeSource` and `of`.
+            InputError: as for `EpisodeSource` and `of`.
             SceneError: no home has room for an episode.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:

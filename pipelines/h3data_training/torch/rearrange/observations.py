@@ -177,7 +177,7 @@ class View(NamedTuple):
         return self.sim.tables.floor_y[self.places.place]
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Tensor:
-        """Return lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
+        """Return the lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
         With ``then`` from the position `THEN` steps ago. The length to an object that is held is the straight distance, as
         tables have no paths to agents.
@@ -206,7 +206,7 @@ class View(NamedTuple):
 
 
 def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
-    """Return names of the sensors of a device: all but those of the hand and of the start frame."""
+    """Return the names of the sensors of a device: all but those of the hand and of the start frame."""
     lacking = ("joints",) if parts else ("joints", "parts")
     return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
 

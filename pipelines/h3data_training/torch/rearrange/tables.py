@@ -174,7 +174,7 @@ class Places(NamedTuple):
         return torch.stack(found, -2)
 
     def lengths(self, xz: Tensor) -> Tensor:
-        """Return lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
+        """Return the lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
 
         They are infinite where there is no path.
         """

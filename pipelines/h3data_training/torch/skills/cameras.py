@@ -103,7 +103,7 @@ class SkillCameras:
 
 
 def moved_bodies(bank: SkillBank) -> list[NDArray[np.int64]]:
-    """Return numbers of the instances of each home that are objects in some episode, ascending."""
+    """Return the numbers of the instances of each home that are objects in some episode, ascending."""
     return [np.unique(bank.bodies[bank.place == k]) for k in range(len(bank.scenes))]
 
 

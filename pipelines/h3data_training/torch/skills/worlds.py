@@ -402,7 +402,7 @@ class SkillTensors:
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
-        """Return numbers of the objects, [W]."""
+        """Return the numbers of the objects, [W]."""
         return self._target[play.episode]
 
     def floors(self, play: SkillPlay) -> Tensor:
