@@ -30,13 +30,16 @@ import tyro
 from h3data.errors import InputError
 from h3data_training.curve import curve_of
 from sim_kinematic.policies.network import RUN_POLICY, read_arrays
+from sim_kinematic.sensing.table import PAPER_OBSERVATIONS
+from sim_kinematic.tasks.social_nav import SocialNav
 
+DEPTH, DETECTOR, GPS = PAPER_OBSERVATIONS
 ROWS: dict[str, tuple[str, ...]] = {
-    "rgb": ("arm_rgb", "humanoid_detector", "humanoid_gps"),
-    "all": ("arm_depth", "humanoid_detector", "humanoid_gps"),
-    "no_gps": ("arm_depth", "humanoid_detector"),
-    "no_detector": ("arm_depth", "humanoid_gps"),
-    "no_depth": ("humanoid_detector", "humanoid_gps"),
+    "rgb": ("arm_rgb", DETECTOR, GPS),
+    "all": (DEPTH, DETECTOR, GPS),
+    "no_gps": (DEPTH, DETECTOR),
+    "no_detector": (DEPTH, GPS),
+    "no_depth": (DETECTOR, GPS),
 }
 """Observations of each row. The slowest comes first, so that no GPU waits for it at the end."""
 H3DATA = (sys.executable, "-m", "h3data_pipelines.cli")
@@ -98,7 +101,7 @@ class Ablations:
         options += ["--device", "cuda" if self.gpus else "cpu", "--resume", "-o", str(run.folder)]
         if stop_after_s is not None:
             options += ["--stop-after", f"{stop_after_s / 60:.3f}"]
-        return [*H3DATA, "train", "social_nav", *options]
+        return [*H3DATA, "train", SocialNav.name, *options]
 
     def table_command(self, rules: str) -> list[str]:
         """Return the command that evaluates all runs under a set of rules, all seeds of a row as one policy."""
@@ -112,7 +115,7 @@ class Ablations:
             "-o",
             str(self.out / rules / "table"),
         ]
-        return [*H3DATA, "evaluate", "social_nav", *options]
+        return [*H3DATA, "evaluate", SocialNav.name, *options]
 
 
 @dataclass(frozen=True)

@@ -646,7 +646,7 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
         named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
         play = rollout(task, episodes[1], named)
         run(play)
-        play.finish()
+        play.team.finish()
         plays.append([(s.agent, s.name, s.target, s.end_step) for s in play.spans])
     assert plays[0] == plays[1]
     assert plays[0]

@@ -168,7 +168,7 @@ class Pair:
 def count_spans(pair: Pair) -> Counter[str]:
     found: Counter[str] = Counter()
     for play in pair.plays:
-        play.finish()
+        play.team.finish()
         found.update(f"{span.outcome} {span.reason}".strip() for span in play.spans)
         found.update(f"{span.name} {span.outcome}" for span in play.spans)
     return found
