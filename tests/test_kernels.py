@@ -409,6 +409,19 @@ def test_shipped_kernels_belong_to_this_code():
     assert stamps <= now, f"run make kernels, or git rm {' '.join(f'{stamp}*' for stamp in stamps - now)}"
 
 
+def test_a_profiler_changes_no_digest() -> None:
+    grid = np.random.default_rng(0).random((4, 5)), np.zeros(2), 0.1, np.array([[0.3, 0.4]])
+    sample_sdf_many(*grid)
+    before = digests.code_digest(sample_sdf_many)
+    profiler = sys.getprofile()
+    sys.setprofile(lambda *_: None)
+    try:
+        sample_sdf_many(*grid)
+    finally:
+        sys.setprofile(profiler)
+    assert digests.code_digest(sample_sdf_many) == before
+
+
 def test_an_index_that_names_renamed_modules_is_made_anew(tmp_path: Path) -> None:
     class Kept:
         _index_path = str(tmp_path / "kernel.nbi")

@@ -126,7 +126,8 @@ def _code(code: CodeType, doc: str | None = None) -> str:
         for constant in code.co_consts
     ]
     names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
-    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+    # without co_flags: numba overwrites them where a profiler is active, and the rest says the same
+    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount)
     return f"{code.co_code.hex()} {code.co_exceptiontable.hex()} {names} {counts} {constants}"
 
 
