@@ -126,7 +126,7 @@ class GivingWay:
         return other is not me and not alone
 
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
-        """Decide who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
+        """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
             self.right_of_way.update(carrying)
 
@@ -175,7 +175,7 @@ class GivingWay:
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
-        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; a robot's without what it holds."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture, without a robot's load."""
         actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
         if isinstance(actor, RobotActor):
             offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m

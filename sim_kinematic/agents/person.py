@@ -321,7 +321,7 @@ class Person:
         return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
-        """Step until both feet stand where they belong; do nothing if they do, or if the root was moved by others."""
+        """Step until both feet are in their standing places, unless they are or the root was moved from outside."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
         for _ in range(SETTLE_STEPS):
@@ -331,7 +331,7 @@ class Person:
             yield
 
     def walk_to(self, path: ArrayLike) -> Skill:
-        """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
+        """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; carry held objects."""
         points = np.atleast_2d(np.asarray(path, np.float64))
         if points.shape[-1] != 2 or not np.isfinite(points).all():
             raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.", code="H3-SIM-014")

@@ -64,7 +64,7 @@ class BodyClearance:
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
-        """Return whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        """Return whether a person at a stand ``(x, z, heading)`` [3] can move a hand to a point [3] and back."""
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:

@@ -113,7 +113,7 @@ INSIDE = "inside "
 
 
 class Destination(NamedTuple):
-    """Command (`Action.command`) of a ``wait`` of no steps that assigns another goal to its object, if the task allows it."""
+    """Command (`Action.command`) of a ``wait`` of 0 steps that gives its object another goal, if the task allows it."""
 
     place: str
     """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
@@ -239,7 +239,7 @@ class Objects:
         return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
-        """Return the reason why an agent cannot begin an action, by the rules for people and robots alike; empty if it can.
+        """Return the reason why an agent cannot start an action, by rules shared by all agents; empty if it can.
 
         Raises:
             InputError: There is no such skill, object, joint or surface.

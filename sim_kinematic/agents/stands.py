@@ -156,7 +156,7 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
 
 
 def island_of(free: FreeSpace, xz: Array) -> int:
-    """Return the island on which an agent at a floor point [2] is; the largest for one that is a little off the floor."""
+    """Return the island of the floor on which a point [2] lies; the largest one for points a little off the floor."""
     return max(int(free.island(xz)), 0)
 
 

@@ -234,7 +234,7 @@ def human_plan(
     steps: int,
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:
-    """Return where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
+    """Return the scripted person's positions in each of ``steps`` steps, and their goals (first those ``given``)."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)

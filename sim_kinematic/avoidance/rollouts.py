@@ -1,6 +1,6 @@
 """Simulated trials of a robot's next commands in the presence of a walking person.
 
-The experts of social navigation choose among them. The motion is that of the simulator itself.
+The experts of social navigation choose among these trials. The motion is that of the simulator itself.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Rollouts(NamedTuple):
     heading: NDArray[np.float64]
     """Headings at the end [N] [rad]."""
     gap_m: NDArray[np.float64]
-    """Least gap to the person in the whole trial [N] [m], in which later steps count as wider."""
+    """Least gap to the person during the trial [N] [m]; gaps in later steps count as wider."""
 
 
 def roll_out(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import fcl
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""Rotation that takes z to y: axes of cylinders and capsules are z in FCL, y here."""
+"""Rotation from the z axis to the y axis, as the axis of cylinders and capsules is z in FCL and y in h3data."""
 
 
 def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
@@ -97,7 +97,7 @@ def _align_axes(starts, ends, frames):
 def shapes_from_capsules(start: ArrayLike, end: ArrayLike, radius: ArrayLike) -> tuple[Capsule, ...]:
     """Return capsules along the y axis of their own frames, with the lengths of the segments ``start`` to ``end`` [n, 3].
 
-    They are for bodies whose capsules keep their length while they move: `MovingShapes` holds them, and
+    The capsules are for bodies in which they keep their lengths while they move: `MovingShapes` holds them, and
     ``set_transforms(capsule_transforms(start, end))`` poses them.
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)

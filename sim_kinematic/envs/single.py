@@ -1,4 +1,4 @@
-"""Gymnasium environment of any task, with one world and one agent. Needs the extra ``env``."""
+"""Gymnasium environment of any task, with one world and one agent; it needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from sim_kinematic.sensing.watching import DebugRenderer
 
 Observations = dict[str, NDArray[Any]]
 ALL = np.ones(1, np.bool_)
-"""Mask of the only world."""
+"""Mask that selects the only world."""
 
 
 class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     """Environment of one world in which one agent acts.
 
-    ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
-    seed gives the same scenes, starts and waypoints on every machine. ``info`` has the task's facts; `reset` adds ``scene``
-    and ``episode_seed``.
+    ``reset(seed=s)`` starts run ``s`` with its episode 0; every `reset` without a seed starts its next episode. The
+    same seed gives the same scenes, starts and waypoints on every machine. ``info`` has the task's facts; `reset` adds
+    ``scene`` and ``episode_seed``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
@@ -42,7 +42,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``.
+        """Start the next episode, or with ``seed`` the first of another run; there are no ``options``.
 
         Raises:
             SceneError: No episode can be sampled in a scene.

@@ -117,7 +117,7 @@ class ObjectRoom:
 
 
 def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
-    """Return the radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    """Return an object's radius on the floor plane and its lowest and highest point relative to its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
     # the origin need not be in the middle of the thing
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])

@@ -106,7 +106,7 @@ class ArticulatedParts:
 
     # --- what is shut in ------------------------------------------------------------------------------------------------
     def barrier(self, foot: Array) -> int:
-        """Return the joint that has to be opened first to reach something whose lowest point is a world point [3]; -1: none."""
+        """Return the joint to open first to reach an object whose lowest point is at a world point [3], or -1."""
         motions = self.joints.motions(self.positions)
         is_open = self.joints.is_open(self.positions)
         for instance, asset, needed in self._enclosed:
@@ -127,7 +127,7 @@ class ArticulatedParts:
         return self.barrier_for(k, point)
 
     def barrier_for(self, k: int, point: Array) -> int:
-        """Return the joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
+        """Return the joint to open first to put object ``k`` at a world point [3] (its origin); -1 if there is none."""
         # receptacles carry things by their lowest point
         return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
 

@@ -67,7 +67,7 @@ class SubGoals:
 
 
 def carry_point(body: Robot | Humanoid) -> Array:
-    """Return where a held object is in its agent's root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    """Return the position of a held object in its agent's root frame [3] [m]: in the hand, or before the chest."""
     if isinstance(body, Robot):
         frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ body.hand_position
@@ -202,7 +202,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def take(self, k: int) -> None:
-        """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
+        """Place an object in front of the chest, in its present orientation, with the right arm posed to hold it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
         # relative to the root, so that the object turns with the person

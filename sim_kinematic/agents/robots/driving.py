@@ -111,7 +111,7 @@ class RobotDriver:
 
     @property
     def agreed(self) -> bool:
-        """Return whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+        """Return whether all agents step aside on request (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:

@@ -57,7 +57,7 @@ class ReachPostures(NamedTuple):
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
-    """Find postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
+    """Find postures for pose7 targets [*batch, 7] of the hand in the agent root frame, by `solve_ik`'s options."""
     if len(robot.require_arm()) >= HAND_REACH.all_directions:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
         return ReachPostures(answer.joint_pos, answer.reached)

@@ -208,7 +208,7 @@ class RobotActor(RobotDriver):
         return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
-        """Return stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] within driving reach from which a hand reaches a world point [3]."""
         free, base = free or self.free, base or self.base
         known = free, base, island_of(free, self.xz), point.tobytes()
         if known not in self._stands:
