@@ -123,7 +123,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 
 @kernel(error_model="numpy")
 def draw_in_planted(sdf, origin, cell, xz, heading, arms, busy, room, quats):
-    """Move the arms of people with planted feet by one step, as `draw_arms`, and draw them in in their poses [W, 55, 4]."""
+    """Move the arms of people with planted feet by one step as `draw_arms`, and fold them in the poses [W, 55, 4]."""
     _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, *room)
     tuck_all(quats, arms, SHOULDERS, CLOSE_SHOULDERS)
     tuck_all(quats, arms, COLLARS, CLOSE_COLLARS)

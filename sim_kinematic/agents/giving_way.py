@@ -194,7 +194,7 @@ class GivingWay:
         return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
 
     def frames(self) -> list[Array]:
-        """Return frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        """Return the present world frames of the agents: robots' links [1, L, 4, 4], people's joints [1, 55, 4, 4]."""
         return [
             actor.robot.link_matrices(actor.pose[None], actor.joints[None])
             if isinstance(actor, RobotActor)

@@ -51,7 +51,7 @@ def make_roster(
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
             URDF, a ``robot.toml`` or its folder for a robot, an .npz for a person; or its kind and one of these,
-            ``robot:../fetch.urdf``, ``human:male_1``; or a `Robot`. A ``+`` and a motion file after a person sets their gait.
+            ``robot:../fetch.urdf``, ``human:male_1``; or a `Robot`. A ``+`` and a file after a person set the gait.
         robot: Body of each ``robot``.
         human: Body of each ``human``.
 

@@ -328,6 +328,6 @@ def _left_to(grid: FloorRoutes, x: float, z: float) -> NDArray[np.float64]:
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:
-    """Return the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
+    """Return the heading [rad] with which a robot at a point [2] sees another point at a bearing to its left [rad]."""
     dx, dz = point - xz
     return float(wrap_angle(math.atan2(-dz, dx) - reach))

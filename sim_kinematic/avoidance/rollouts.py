@@ -149,7 +149,7 @@ def _roll_out(
 def straight_walk(
     free: FreeSpace, xz: NDArray[np.float64], velocity: NDArray[np.float64], steps: int
 ) -> NDArray[np.float64]:
-    """Return the places [steps, 2] of a person from ``xz`` [2] on at a velocity [2] [m/s], up to a wall."""
+    """Return the positions [steps, 2] [m] of a person walking from ``xz`` [2] at a velocity [2] [m/s] up to a wall."""
     walk = xz + velocity * (np.arange(1, steps + 1)[:, None] * STEP_S)
     if velocity.any():
         blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - AVOIDANCE.wall_m)

@@ -112,8 +112,7 @@ class AvoidanceSpec:
     patience_steps: int = 90
     """Number of steps after which a person gives up waiting for others to clear the path."""
     detour_after_steps: tuple[int, int] = (10, 40)
-    """Numbers of stalled steps after which a robot plans a path around standing agents, for the first and for later
-    detours."""
+    """Numbers of stalled steps at which a robot plans a path around the agents that stand."""
     detours: int = 3
     """Largest number of detours to one destination."""
     via_m: float = 0.25

@@ -55,7 +55,7 @@ class StandOffs:
         return self._encounters[min(a, b), max(a, b)]
 
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
-        """Count one step and return the pairs that have made no progress for long although one of them has something to do.
+        """Count one step, and return pairs of agents without progress for long, of which one has something to do.
 
         ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
         """

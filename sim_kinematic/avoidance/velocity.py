@@ -29,7 +29,7 @@ _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.
 
 @kernel(error_model="numpy")
 def least_gap(x, z, heading, other_x, other_z, hull, reach):
-    """Return the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
+    """Return the least distance [m] between the discs of a hull and a floor point, minus the radii ``reach``."""
     return gap_along(x, z, math.cos(heading), math.sin(heading), other_x, other_z, hull, reach)
 
 

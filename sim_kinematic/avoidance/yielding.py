@@ -196,7 +196,7 @@ def retreat_place(
 
 
 def crowds(places: NDArray, others: Sequence[ObservedAgent]) -> NDArray[np.bool_]:
-    """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
+    """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to agents that stay, [N]."""
     apart = AVOIDANCE.apart_m
     gaps = [np.hypot(*(places[:, :2] - other.xz).T) < apart for other in others if not other.steps_aside]
     return np.any(gaps, axis=0) if gaps else np.zeros(len(places), np.bool_)

@@ -84,7 +84,7 @@ class RobotHumanContact:
             blend: weights of the clips [N].
             arms: how far each arm is folded in, left and right [N, 2].
             seats: heights of seats [m] and shares of the path to them (`h3data.bodies.people.sitting.take_seats`) [N, 2].
-            hands: places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
+            hands: places of the hands (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         # the gate holds for every posture but lying and reaching, so people farther away need not be posed
@@ -137,7 +137,7 @@ def scenery_of(scene: Scene) -> FclScene:
 
 
 def robot_reach(robot: Robot, joints: Array) -> float:
-    """Return an upper bound of the distance of the robot's shapes from its root along the floor in a posture [J] [m]."""
+    """Return an upper bound of the floor distance of the robot's shapes from its root in a posture [J] [m]."""
     links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     reach = 0.0
     for matrix, link in zip(links, robot.links, strict=True):

@@ -103,7 +103,7 @@ class MovingShapes(_Objects):
         super().__init__([g for g, _ in pairs], list(self._local))
 
     def set_transforms(self, transforms: ArrayLike) -> None:
-        """Move every shape to its rigid world frame: ``transforms`` [n, 4, 4], of the frames in which shapes are defined."""
+        """Move every shape to its rigid world frame; ``transforms`` [n, 4, 4] are of the frames that define shapes."""
         t = np.asarray(transforms, np.float64)
         if t.shape != (len(self), 4, 4):
             raise InputError(

@@ -78,7 +78,7 @@ def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.fl
 
 
 def body_shapes(body: Body, person_contact: PersonContact = "body") -> tuple[Shape, ...]:
-    """Return the collision shapes of a robot's links or of a person (`PersonContact`), in frames of `shape_frames`."""
+    """Return the collision shapes of a robot's links, or of a person (`PersonContact`), in frames of `shape_frames`."""
     if isinstance(body, Robot):
         return tuple(shape for link in body.links for shape in link.shapes)
     # sizes of bones do not change with the posture, so any posture gives them

@@ -21,10 +21,11 @@ Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 
 
 
 def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
-    """Return FCL's geometry of a shape in a frame scaled per axis [3], and the rigid 4x4 matrix from it to that frame.
+    """Return FCL's geometry of a shape in a frame scaled per axis [3], and the rigid [4, 4] transform to that frame.
 
-    Boxes, cylinders and capsules stay primitives where the scale allows it, and become convex hulls otherwise (never triangle
-    meshes, for which python-fcl's answers are wrong). Every call returns a new geometry, by which contacts name the shape.
+    Boxes, cylinders and capsules stay primitives where the scale allows it, and become convex hulls otherwise (never
+    triangle meshes, for which python-fcl's answers are wrong). Every call returns a new geometry, by which contacts
+    name the shape.
 
     Raises:
         InputError: A scale is 0 or not finite.

@@ -58,7 +58,7 @@ class SeatPlace(NamedTuple):
 
     @property
     def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of the person who sits or lies there, and the distance that others keep from it, [4]."""
+        """Place ``(x, z, heading)`` of the person who uses the seat, and distance [m] that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
     def station(self) -> Station:
@@ -138,7 +138,7 @@ class Seats:
         return SeatPlace(seat, before, stand)
 
     def to_lie(self, place: SeatPlace, taken: Sequence[Array] = ()) -> SeatPlace:
-        """Return the places for lying down on a seat that the person can use, while others have the places ``taken``.
+        """Return the places for lying down on a usable seat, given the places ``(x, z, ...)`` taken by others.
 
         Raises:
             InputError: The surface is too small for the body, or something or somebody is in its way.

@@ -146,7 +146,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 @kernel(error_model="numpy")
 def first_through(claims, company, m, wait):
-    """Return the number of the person who passes a narrow place before person ``m`` the opposite way; -1: nobody does."""
+    """Return the number of the person who passes a narrow place before person ``m`` from the other side, or -1."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -450,7 +450,7 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
-        stays: Place (x, z) that a person who stands faces, and 0: walks, -1: backs out, 1: stands as they come, 2: stands and
+        stays: Place (x, z) to face while standing, and 0: walks, -1: backs out, 1: stands as they come, 2: stands and
             faces it, `SEATED`: is where ``places`` say [M, 3].
         company: Number of the group with which each person walks, -1: none [M].
         moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].

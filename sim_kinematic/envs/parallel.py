@@ -95,7 +95,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         return result  # type: ignore[return-value]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the first agent and its surroundings, as `sim_kinematic.envs.single.TaskEnv.render`."""
+        """Return a picture of the first agent and its surroundings, like `sim_kinematic.envs.single.TaskEnv.render`."""
         return None if self.render_mode is None else self.stepper.picture(self.possible_agents[0], self._watcher)
 
     def close(self) -> None:

@@ -60,13 +60,13 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         """Carry out an action.
 
         Raises:
-            InputError: The action is malformed, or no episode is going on; then nothing has moved.
+            InputError: The action is malformed, or no episode is running; then nothing has moved.
         """
         reward, terminated, truncated = self.stepper.step({self.agent: one_row(action)})
         return self._observed(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._informed()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Return the agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        """Return a picture of the agent from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
         return None if self.render_mode is None else self.stepper.picture(self.agent, self._watcher)
 
     def _observed(self) -> Observations:
@@ -82,7 +82,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
 
 
 def run_seed(seed: int | None, rng: np.random.Generator) -> int:
-    """Return the given seed, else one from Gymnasium's generator."""
+    """Return the given seed, or one from Gymnasium's generator if there is none."""
     return int(rng.integers(2**63)) if seed is None else int(seed)
 
 
