@@ -193,7 +193,7 @@ class DistanceMap:
 
 
 def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:
-    """Return distances [...] [m] of points [..., 2] to the line through floor points [N, 2]; infinite for an empty path."""
+    """Return distances [...] [m] of points [..., 2] to the line through points [N, 2]; infinite if it is empty."""
     points = np.asarray(points, np.float64)
     if len(path) == 0:
         return np.full(points.shape[:-1], np.inf)

@@ -41,7 +41,7 @@ Floor = FreeSpace | float | Array
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
-    """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
+    """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]; on stairs, only robots pitch."""
     if not isinstance(floor, FreeSpace):
         return ground_pose(xz, heading, floor)
     return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m)

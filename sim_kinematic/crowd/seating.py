@@ -170,7 +170,7 @@ class Seats:
     def nearest(
         self, xz: Array, within_m: float, taken: Sequence[Array] = (), *, lies: bool = False
     ) -> SeatPlace | None:
-        """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none.
+        """Return the places for using the nearest seat that fits within a distance [m] of a place [2], or None.
 
         If ``lies``, the person lies down there.
         """

@@ -71,7 +71,7 @@ class Stepper(Protocol):
         ...
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Begin episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W]; in all, the first time.
+        """Start the episodes ``indices`` [W] of the runs ``seeds`` [W] in the worlds selected by ``where`` [W].
 
         Raises:
             SceneError: No episode can be sampled in a scene.

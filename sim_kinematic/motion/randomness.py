@@ -20,5 +20,5 @@ def generator(seed: int, stream: str, *, world: int = 0, step: int = 0) -> np.ra
 
 
 def episode_seed(seed: int, index: int) -> int:
-    """Return the seed of episode ``index`` of a dataset with ``seed``: 63 bits, no two equal in practice."""
+    """Return the seed of episode ``index`` of a dataset with ``seed``: 63 bits, in practice never the same twice."""
     return int(generator(seed, "episode", step=index).integers(2**63))

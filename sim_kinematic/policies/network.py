@@ -289,7 +289,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
 
 def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second ones, and so on.
+    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second bytes.
 
     They compress better, by a fifth where the last bits are 0.
     """

@@ -260,12 +260,12 @@ PARTNERS = (*POPULATIONS, *PLANS)
 
 
 def population_of(partner: str) -> str:
-    """Return ``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
+    """Return ``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for one of planners, or empty."""
     return "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else ""
 
 
 def zsc_populations(partners: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    """Return the paper's zero-shot populations whose members all play: four planners, and these with six learned partners."""
+    """Return the paper's zero-shot populations that can play: four planners, and these with six learned partners."""
     there = set(partners)
     return tuple(population for population in (ZSC, ZSC_TEN) if there.issuperset(population))
 

@@ -160,7 +160,7 @@ def exact(
 
 
 def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int, parts: int = 0) -> dict[str, Limits]:
-    """Return limits of all observations but pictures by name, for an agent with ``arm`` joints (0: a person)."""
+    """Return the limits of all observations except pictures by name, for an agent with ``arm`` joints (people: 0)."""
     known = choices(objects, robot=arm > 0, parts=tuple(range(parts)))
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(known), "parts": parts}
     return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}

@@ -23,7 +23,7 @@ class WaypointPolicy(WaypointHuman):
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
     def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:
-        """Return the choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
+        """Return the choice for a position ``xz`` [2] and a heading, which are all the inputs of this policy."""
         if self.spec.stride is None:
             return WaypointAction(self.target(xz))
         x, z, turned = self.stride(xz, heading)
@@ -31,7 +31,7 @@ class WaypointPolicy(WaypointHuman):
 
 
 class WanderPolicy:
-    """Robot or person that goes from one random point to another and avoids the others (`sim_kinematic.policies.traffic`)."""
+    """Robot or person that moves between random points and avoids others (`sim_kinematic.policies.traffic`)."""
 
     takes_agent_view = True
 
@@ -40,7 +40,7 @@ class WanderPolicy:
         self._going: Skill | None = None
 
     def act(self, view: AgentView) -> GaitAction | Velocity:
-        """Return a step for a person, a velocity for a robot."""
+        """Return a step of the gait for a person, or a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
         # largest number of goals that are tried in one step, as some of them may have been reached already

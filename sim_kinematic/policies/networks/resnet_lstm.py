@@ -113,7 +113,7 @@ class ResNetLSTM(nn.Module):
         features: int = 512,
         hidden: int = 512,
     ) -> None:
-        """Make a network for ``numbers`` and pictures of a ``size`` (width, height) with ``given`` planes, or without any."""
+        """Create a network for ``numbers`` and for pictures of a ``size`` (width, height) [pixels]or without them."""
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
@@ -163,7 +163,7 @@ class ResNetPolicy(VisualPolicy):
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Array, state: Array) -> tuple[Array, Array]:
-        """Return the action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
+        """Return the action [n] and next state [H] for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = (
             pixels_of(torch.as_tensor(np.ascontiguousarray(picture_of(self.card, shown)))[None]) if self.sees else None
@@ -190,7 +190,7 @@ class ResNetPolicy(VisualPolicy):
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """Return the sizes of pictures that the network supports, if this is none of them; otherwise empty."""
+        """Return a text with the supported sizes of pictures if ``size`` is not one of them; otherwise empty."""
         return "" if all(8 <= side <= 1024 for side in size) else "sides of 8 to 1024"
 
 

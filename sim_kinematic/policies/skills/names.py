@@ -67,10 +67,10 @@ def _shipped_digest() -> str:
 
 
 def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
-    """Return the learned skills of some names, by the skills of the upper layer.
+    """Return the learned skills that some names stand for, by the name of the upper layer's skill.
 
     Raises:
-        InputError: As `recorded_skills`.
+        InputError: A file does not exist, has no skill, or two files are for the same skill.
         FormatError: A file is for another robot.
     """
     if not skills:
