@@ -361,7 +361,7 @@ class Strider:
         self.arrived = False
 
     def walk(self, gait: HumanState, *, goes: bool = True) -> Array:
-        """Move the gait of one person by a step, in place; return what it was: x, z, heading, distance, set off, blend [6]."""
+        """Move the gait of one person by a step, in place; return its six numbers before the step [6]."""
         told, before = (goes, self._halts, self._facing, self._state, *self._rules), np.empty(6)
         moved = gait.xz, gait.heading, gait.distance, gait.set_off, gait.blend, self._blend_rate
         self.arrived = self.free.entries(stride_gait, *self._grid, self._path, self._cumulative, *told, *moved, before)

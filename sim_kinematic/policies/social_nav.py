@@ -1,4 +1,4 @@
-"""Robot policies of social navigation: experts by rules, samples and foresight, baselines, and a learned one."""
+"""Robot policies of social navigation: experts by rules, samples and foresight, baselines, and a learned policy."""
 
 from __future__ import annotations
 
@@ -131,10 +131,10 @@ def _receding(view: SocialNavView) -> float:
 
 
 def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Follow the paper's two rules (section 4.1): drive to a person farther away than 1.5 m, and back away from a nearer one.
+    """Drive to a person farther than 1.5 m away, and back away from a nearer one (rules of the paper, section 4.1).
 
-    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs straight away.
-    It tries nothing out and foresees nothing, so the person often pins it against a wall.
+    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs straight
+    away. It tries nothing out and foresees nothing, so the person often pins it against a wall.
     """
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")

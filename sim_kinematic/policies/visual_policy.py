@@ -382,7 +382,7 @@ def array_faults(arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ..
 
 
 def rows_in(arrays: Mapping[str, Array], name: str) -> int:
-    """Return the number of rows of an array; 0 if there is none, so that a damaged file gets a message about shapes."""
+    """Return the number of rows of an array, or 0 if it is missing from a damaged file."""
     return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 
 

@@ -85,7 +85,7 @@ class AgentPictures:
 
         Args:
             body: body of the agent.
-            names: observations of the agent; names in `picture_names`, and names of the body's cameras, are pictures.
+            names: observations of the agent; those in `picture_names`, and the body's cameras, are pictures.
             agent: number of the agent in the state.
             depth_size: width and height of depth, masks and boxes [pixels]; None is each camera's own. The field of view does not
                 change.
@@ -136,7 +136,7 @@ class AgentPictures:
         return Limits(0.0, 1.0, (1,) if name == "humanoid_detector" else (lens.height, lens.width, 1), np.float32)
 
     def take(self, drawn: StateRenderer) -> dict[str, NDArray[Any]]:
-        """Return the pictures of all worlds as last posed, [W, ...]; depth in metres, 0 = nothing hit."""
+        """Return the pictures of all worlds as last posed, [W, ...]; depth is in metres, 0 where nothing was hit."""
         from sim_kinematic.sensing.camera_sensor import CameraSensor
 
         # pictures of one lens are rendered at once: depth and detector of the arm share a pass

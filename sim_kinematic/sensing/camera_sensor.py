@@ -56,7 +56,7 @@ class _Drawn:
 
 
 class StateRenderer:
-    """Renderer of a home with robots, people and objects in W worlds that differ in moving things. One per thread."""
+    """Renderer of a home with robots, people and objects in W worlds that differ in moving things; one per thread."""
 
     def __init__(
         self,
@@ -351,7 +351,7 @@ def recorded_matrix(instance: Instance) -> Array:
 
 
 def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
-    """Return a grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
+    """Return a grey mesh for each capsule, in the frame in which a `h3data.scene.records.Capsule` stands along y."""
     import trimesh
 
     # trimesh's capsules stand along z

@@ -129,7 +129,7 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Return whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
+    """Return whether the other agent is in an ellipse around the base, with half axes ``ahead_m`` and ``aside_m``."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 
@@ -335,7 +335,7 @@ NoiseModel = Callable[..., ArrayLike]
 
 
 def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Array:
-    """Return values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
+    """Return values with Gaussian noise of a standard deviation, one for all or one per value, in their unit."""
     exact = np.asarray(values, np.float64)
     return exact + np.asarray(sigma, np.float64) * rng.standard_normal(exact.shape)
 

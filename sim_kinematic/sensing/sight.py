@@ -196,7 +196,7 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
 
 
 def eye_height(body: Body) -> float:
-    """Return the height of an agent's eyes [m]: of a robot, its highest camera at rest, or else the top of its body."""
+    """Return the height of an agent's eyes [m]: a robot's highest camera at rest, or else the top of its body."""
     if not isinstance(body, Robot):
         return EYE_SHARE * body.height_m
     links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
@@ -204,5 +204,5 @@ def eye_height(body: Body) -> float:
 
 
 def surface_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names ``instance|receptacle`` of the surfaces of a home, as `SEARCH` numbers them."""
+    """Return the names ``instance|receptacle`` of the surfaces of a home, in the order of their numbers in `SEARCH`."""
     return tuple(f"{instance.name}|{receptacle.name}" for instance, receptacle in scene.receptacles())

@@ -57,10 +57,11 @@ class Pose(NamedTuple):
 
 # every field is Any: the same rows read arrays and tensors, and a context has only the fields of its own sensors
 class Context(Protocol):
-    """Input of sensors: the state of one agent in each of some worlds [...]. Fields that no sensor reads may be missing.
+    """Input of sensors: the state of one agent in each of some worlds [...]; fields that are not read may be missing.
 
-    Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before`` have
-    ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K, 3].
+    Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and
+    ``other_before`` have ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and
+    ``goals``, are [..., K, 3].
     """
 
     xp: Any
@@ -103,7 +104,7 @@ class Context(Protocol):
         ...
 
     def path(self) -> tuple[Any, Any]:
-        """Return the shortest path to the agent's goal: its length [...] [m] and a point near its beginning [..., 2] [m]."""
+        """Return the shortest path to the goal: its length [...] [m] and a point near its start [..., 2] [m]."""
         ...
 
     def clearance(self, points: Any) -> Any:
@@ -118,7 +119,7 @@ class Context(Protocol):
         ...
 
     def circles(self, *, legs: bool) -> Any:
-        """Return the other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, two per person."""
         ...
 
     def in_hand(self, points: Any) -> Any:
@@ -150,7 +151,7 @@ class Context(Protocol):
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """Return a number for each of the agent's C choices: 1 for the last one, if it ended with this outcome, [..., C]."""
+        """Return a number per choice, [..., C]: 1 for the agent's last one if it had this outcome, else 0."""
         ...
 
 
@@ -209,7 +210,7 @@ class SensorContext(NamedTuple):
         return self.world.free_along(self.now.xz, headings, max_m)
 
     def circles(self, *, legs: bool) -> Array:
-        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, two per person."""
         return self.world.circles(self.agent, legs=legs)
 
     def from_start(self, points: Array) -> Array:
