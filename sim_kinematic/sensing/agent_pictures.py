@@ -85,7 +85,7 @@ class AgentPictures:
 
         Args:
             body: body of the agent.
-            names: observations of the agent; those in `picture_names`, and the body's cameras, are pictures.
+            names: observations of the agent; those in `picture_names` and the body's cameras are pictures.
             agent: number of the agent in the state.
             depth_size: width and height of depth, masks and boxes [pixels]; None is each camera's own. The field of view does not
                 change.

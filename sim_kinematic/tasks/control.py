@@ -91,11 +91,11 @@ class Team(ABC):
 
     @abstractmethod
     def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Return columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
+        """Return columns of consecutive steps, agents' places [T, 2], and whether a robot touched an obstacle [T]."""
 
 
 class Control:
-    """Base class of controls. ``play`` is a `sim_kinematic.tasks.play.WorldRollout`, and ``number`` an agent's index."""
+    """Base class of controls, where ``play`` is a `sim_kinematic.tasks.play.WorldRollout` and ``number`` an agent."""
 
     has_skills: ClassVar[bool] = False
     """True if choices are skills that take many steps: then each rollout has one world, people are recorded joint by joint

@@ -237,7 +237,7 @@ class WorldRollout:
 
     @property
     def open_parts(self) -> NDArray[np.bool_]:
-        """Return which of the doors and drawers of `Rearrange.parts_of` are at least ajar, [W, M]; only with skills."""
+        """Return which doors and drawers of `Rearrange.parts_of` are at least ajar, [W, M]; only with skills."""
         return self.team.open_joints[list(self.team.parts)][None]
 
     def extra(self, name: str) -> NDArray[Any]:
@@ -245,7 +245,7 @@ class WorldRollout:
         return np.array([episode.extra[name] for episode in self.episodes])
 
     def path_length(self, agent: int, points: Array) -> Array:
-        """Return the lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return the lengths [W] [m] of the shortest paths from an agent to points [W, 2]; infinite without one."""
         xz, lengths = self.world.state.agents[agent].xz, np.zeros(self.world.worlds)
         for free, rows in self.world.groups:
             lengths[rows] = free.geodesic(xz[rows], points[rows])
@@ -359,7 +359,7 @@ class WorldRollout:
         return self.team.snapshot(), judged, self.world.touching[0]
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
-        """Return columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
+        """Return the columns of a recording from snapshots of consecutive steps, of which ``first`` is the first."""
         # a row is the state after its step, so the first one is not at time 0
         result: Columns = {"time_ns": np.arange(first + 1, first + len(snapshots) + 1, dtype=np.int64) * STEP_NS}
         own, places, contact = self.team.columns([row[0] for row in snapshots])

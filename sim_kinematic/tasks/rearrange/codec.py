@@ -337,7 +337,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return uid_of(what)
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return why the episode ended, and ``solo_steps``: the paper's ``L_human``, on which relative efficiency is based."""
+        """Return the reason for the episode's end, and ``solo_steps``, which is ``L_human`` in the paper."""
         assert isinstance(episode, RearrangeEpisode)
         # one agent with this plan has just played the reference itself
         alone = [policy.plan for policy in policies] == ["both"]

@@ -325,7 +325,7 @@ def seconds_alone(
     starts: Starts,
     targets: tuple[Target, ...],
 ) -> float:
-    """Estimate the time that a person alone takes for all objects [s]; infinite where an object or goal is out of reach."""
+    """Estimate the time that a person alone needs for all objects [s]; infinite if one of them is out of reach."""
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
     return draw.seconds_alone(starts, targets)

@@ -1,4 +1,4 @@
-"""Oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find them."""
+"""Oracle for the metrics SPS and F: the least steps in which a robot that knows the person's future finds them."""
 
 from __future__ import annotations
 
