@@ -45,7 +45,7 @@ Rows = NDArray[np.intp]
 
 
 class DriveCommand(NamedTuple):
-    """Base velocities: forward and left turn in -1..1 of the limits, [W, 2]; a robot that moves sideways takes [W, 3].
+    """Base velocities of an agent: forward and left turn in -1..1 of the limits, [W, 2], or [W, 3] to move sideways.
 
     People drive too: as a disc that slides along obstacles, forwards only.
     """
@@ -185,7 +185,7 @@ class World:
         self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
         """Agents that touched an obstacle in the last step, [W, A]."""
         self.pairs = tuple(combinations(range(len(self.roster)), 2))
-        """Pairs (a, b) with a < b of the numbers of all agents, [P, 2]."""
+        """Pairs (a, b) with a < b of the numbers of all agents, P in all."""
         self.touching = np.zeros((self.worlds, len(self.pairs)), np.bool_)
         """True for pairs of agents that touch after the last step, [W, P]."""
         self.floor_y: Array = np.zeros(self.worlds)
@@ -344,7 +344,7 @@ class World:
         return poses
 
     def geodesic(self, a: int, b: int, rows: Rows | None = None) -> Array:
-        """Return lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
+        """Return the lengths [n] [m] of the shortest paths between two agents in worlds ``rows`` [n] (default: all)."""
         xz, other = self.state.agents[a].xz, self.state.agents[b].xz
         if rows is None and len(self.groups) == 1:
             return self.groups[0][0].geodesic(xz, other)
@@ -380,7 +380,7 @@ class World:
         return self._discs_beside(agent, self.state.agents, legs=legs)
 
     def in_root_frame(self, own: AgentState, points: Array) -> Array:
-        """Transform world points [W, n, 3] [m] to the agent root frames ``own`` of an agent."""
+        """Transform world points [W, n, 3] [m] to the agent root frames of the agents with the state ``own``."""
         root = ground_pose(own.xz, own.heading, self.heights(own.xz))[:, None]
         return np.asarray(quat_rotate(quat_conjugate(root[..., 3:]), points - root[..., :3]))
 

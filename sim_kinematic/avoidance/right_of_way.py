@@ -1,13 +1,13 @@
 """Right of way: agents that block each other agree on which of them steps aside, and where to.
 
-Every agent announces its path. In order of rank, each asks those that stand on the next metres of its path to step
-aside to the nearest place off it; once it has been held up, also those that are going somewhere themselves. An agent
-that was asked inherits the rank of the asker, so a row of people in a corridor backs out together (priority
+Every agent announces its path. In order of rank, each agent asks others that stand on the next metres of its path to
+step aside to the nearest place off it; once it has been held up, it also asks agents that move to goals of their own.
+An agent that was asked inherits the rank of the asker, so a row of people in a corridor backs out together (priority
 inheritance: Okumura et al., 2022, PIBT). Where there is no such place, the roles are exchanged.
 
 Where two agents stay near each other and neither makes progress (`sim_kinematic.avoidance.stand_offs`), one of them is
-sent to a refuge, off the whole remaining path of the other, until the other has got past. The next time it is the
-other's turn. An agent that is held up by somebody driven from outside goes to a refuge until there is a path around
+sent to a refuge, off the whole remaining path of the other, until the other has got past. The next time, the other
+agent is sent. An agent that is held up by a person driven from outside goes to a refuge until there is a path around
 them.
 """
 

@@ -48,7 +48,7 @@ def roll_out(
     `sim_kinematic.motion.step.drive_base`. The simulation lasts as long as the person walks along ``person`` [H, 2],
     one place per step, or ``look_steps`` steps without a person.
 
-    Commands that begin alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
+    Commands that start alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
     expert steps per CPU second).
     """
     ends = np.empty((len(commands), 4))

@@ -67,9 +67,9 @@ class AvoidanceSpec:
     margin_m: float = 0.35
     """Gap to be kept between a robot and another agent [m]."""
     standing_margin_m: float = 0.15
-    """Distance that is kept from agents that stand and step aside if asked [m]."""
+    """Distance to keep from agents that stand and step aside when asked [m]."""
     still_margin_m: float = 0.0
-    """Distance that is kept from agents that have stood for long [m], small enough for a robot to get past."""
+    """Distance to keep from agents that have stood for long [m], small enough for a robot to get past."""
     still_steps: int = 75
     """Number of steps of standing after which an agent has settled; picking and placing take fewer."""
     still_m: float = 0.01

@@ -57,7 +57,7 @@ class StandOffs:
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
         """Count one step, and return pairs of agents without progress for long, of which one has something to do.
 
-        ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
+        ``held_off`` returns whether an agent is blocked by another agent that is driven from outside.
         """
         stuck = []
         for pair, encounter in self._encounters.items():

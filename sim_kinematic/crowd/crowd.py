@@ -38,7 +38,7 @@ from their paths; distance within which people count as near; and length of thes
 VERSION = 5
 """Version of the rules by which crowds decide, which recordings store. In version 1, that of recordings without a
 version, conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there
-although somebody cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
+although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
 and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody
 backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and more
 slowly."""
@@ -236,7 +236,7 @@ class Crowd:
                 self.new_events.append((m, kind, station.name, ""))
 
     def _meet(self, xz: Array) -> None:
-        """Find places for the groups that stand and talk, from the positions ``xz`` [M, 2] at the start."""
+        """Find places for the groups that stand and talk, from the initial positions ``xz`` [M, 2]."""
         for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
             members = [m for m, role in enumerate(self._roles) if role.group == word]
             number = int(word.removeprefix("talk") or 0)
@@ -321,7 +321,7 @@ class Crowd:
             self._until[standing[near]] = step
 
     def _ahead(self, m: int, length_m: float) -> Array:
-        """Return places [N, 2] on the path of a person, as far as ``length_m`` ahead of them."""
+        """Return places [N, 2] on the path of a person, up to ``length_m`` ahead of them."""
         count, ahead = self._counts[m], self._along[m] + np.arange(0.0, length_m, PASSING_M / 4)
         return np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
 

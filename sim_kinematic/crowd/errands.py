@@ -72,7 +72,7 @@ the goal [2] of their group. The places ``(x, z, ...)`` that other people use, o
 
 
 class Agenda(Protocol):
-    """Stops of one person, such as those of a morning at home; `roles.routines` finds those of packages."""
+    """Stops of one person, such as those of a morning at home; `roles.routines` finds more in packages."""
 
     stops: Sequence[tuple[str, str, float]]
     """Place, activity and duration [s] of each stop, which recordings store."""

@@ -141,7 +141,7 @@ class Seats:
         """Return the places for lying down on a usable seat, given the places ``(x, z, ...)`` taken by others.
 
         Raises:
-            InputError: The surface is too small for the body, or something or somebody is in its way.
+            InputError: The surface is too small for the body, or an object or a person is in the way.
         """
         seat, sitting = place.seat, fit(self._body, place.seat)
         to_head, to_feet, aside = sitting.lying_size.tolist()

@@ -161,7 +161,7 @@ def make(
         rgb_size: Width and height of colour images [pixels].
         light: Light in colour images: ``baked`` or ``flat``.
         noise: Noise model by name of an observation (default: all are exact).
-        end_on_success: True if success terminates an episode even where the task goes on.
+        end_on_success: True if success terminates an episode even if the task continues.
         interrupts_when_close: True if agents of rearrangement may choose again at every step while the other is near.
         threads: Threads that render images.
         dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
@@ -169,7 +169,7 @@ def make(
         episodes_seed: Seed of those episodes.
         graph: True if a CUDA device replays each step as one graph.
         compile: True if worlds on a device are compiled by torch.
-        **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
+        **task_options: Options of a custom task. Type checkers accept them as ``**{"name": value}``.
 
     Raises:
         InputError: The task, scenes or an option do not exist.

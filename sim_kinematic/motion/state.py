@@ -1,6 +1,6 @@
 """State of W worlds, each with the same robots, people and O objects, as structs of arrays with worlds first.
 
-One world is W = 1. A world may have any number of robots and people, also none.
+A single world has W = 1. A world may have any number of robots and people, including none.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ class HumanState(_Arrays):
     distance: NDArray[np.float64]
     """Distance walked since the start [m], which determines the phase of the walking cycle; shape [W]."""
     set_off: NDArray[np.float64]
-    """Value of `distance` when the person last set off from standing [m], at which the cycle began anew; shape [W]."""
+    """Value of `distance` when the person last set off from standing [m], at which the cycle started again; shape
+    [W]."""
     blend: NDArray[np.float64]
     """Share of walking in the motion: 0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]

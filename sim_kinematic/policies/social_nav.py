@@ -133,8 +133,8 @@ def _receding(view: SocialNavView) -> float:
 def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Drive to a person farther than 1.5 m away, and back away from a nearer one (rules of the paper, section 4.1).
 
-    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs straight
-    away. It tries nothing out and foresees nothing, so the person often pins it against a wall.
+    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs away in a
+    straight line. It does not simulate or predict anything, so the person often traps it against a wall.
     """
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")

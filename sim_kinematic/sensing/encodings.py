@@ -90,7 +90,7 @@ def _of_choices(sensor: Sensor) -> Encoding:
 
 
 OF_SOCIAL_NAV = (HUMANOID_GPS, DETECTOR, "humanoid_velocity", "egomotion", "way", "range_scan")
-"""Encodings of the observations that networks of social navigation read."""
+"""Names of the observations that networks of social navigation read."""
 OF_COMMANDS: Mapping[str, Encoding] = {
     name: _of_commands(_FLAG if name == DETECTOR else TABLE[name])
     for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))

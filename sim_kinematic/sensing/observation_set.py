@@ -94,7 +94,7 @@ class ObservationSet:
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
         """Return observations [W, ...] for exact values [W, ...]: with noise, scaled depth, and clipping.
 
-        Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
+        The noise is determined by the episodes' ``seeds`` [W] and ``steps`` [W].
         """
         shown = self._clipped(exact) if self._plain else {}
         if len(shown) == len(self.names):

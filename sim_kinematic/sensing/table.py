@@ -59,9 +59,9 @@ class Pose(NamedTuple):
 class Context(Protocol):
     """Input of sensors: the state of one agent in each of some worlds [...]; fields that are not read may be missing.
 
-    Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and
-    ``other_before`` have ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and
-    ``goals``, are [..., K, 3].
+    Arrays belong to the namespace ``xp``. ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before``
+    have ``xz`` and ``heading``, like a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K,
+    3].
     """
 
     xp: Any

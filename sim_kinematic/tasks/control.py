@@ -116,7 +116,7 @@ class Control:
         """Raise an `InputError` if the control does not support an agent; by default it supports all."""
 
     def team(self, play: Any) -> Team:
-        """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
+        """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to start."""
         raise NotImplementedError
 
     # --- choices from outside -----------------------------------------------------------------------------------------

@@ -182,7 +182,7 @@ class Recorder:
         info: Mapping[str, Any] | None = None,
         sensors: Sequence[str] = (),
     ) -> Recorder:
-        """Return the recorder of an episode that is about to begin.
+        """Return the recorder of an episode that is about to start.
 
         Args:
             play: Episode with its policies, before the first step.

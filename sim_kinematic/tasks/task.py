@@ -189,7 +189,7 @@ class Task:
         return play.agent_view(agent, world)
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of agents of a kind by name, except pictures; by default `sim_kinematic.sensing.table.SENSORS`."""
+        """Return the sensors of a kind of agent by name, except pictures; by default those of agents without skills."""
         from sim_kinematic.sensing.table import sensors_of
 
         return sensors_of(kind)

@@ -101,7 +101,7 @@ class PersonCommand:
     head: tuple[float, float] | None = None
     """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None: it looks ahead."""
     do: Do | None = None
-    """Skill to begin. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
+    """Skill to start. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 
     @property
     def stands(self) -> bool:

@@ -136,7 +136,7 @@ class SocialNav(Task):
         return None
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Return the observation of a policy: a `SocialNavView` for the robot, unless its policy takes an `AgentView`."""
+        """Return the observation of a policy: a `SocialNavView` for the robot, or an `AgentView` if it takes one."""
         if agent != ROBOT or (play.policies and play.policies[ROBOT].takes_agent_view):
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
