@@ -71,7 +71,8 @@ class _Request:
     stayed: int = 0
     """Number of steps since it got there."""
     chose_at: tuple[float, float, float] | None = None
-    """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
+    """Place ``(x, z, heading)`` of the other agent, which is driven from outside, when the agent last made a new
+    choice."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     """Position [2] of the other agent when it was last observed."""
 

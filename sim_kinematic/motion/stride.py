@@ -2,7 +2,7 @@
 
 Each step is a pure pursuit of the path: the person turns towards a point ahead on it and walks in the direction of view
 or a little sideways, and more slowly while the point is not ahead. Turn rate and speed change no faster than
-`StrideSpec` says. The body's disc is pushed out of walls and furniture like a driven one
+`StrideSpec` says. The disc of the body is pushed out of walls and furniture like that of a driven person
 (`sim_kinematic.motion.step.push_out`), so that a curve never cuts into them.
 """
 

@@ -1,7 +1,7 @@
 """Observations of learned policies of rearrangement, computed from a `RearrangeView` by the rows of the table of sensors.
 
-They are the same for training environments and for policies from a file: `sim_kinematic.sensing.table.SENSES`. Pictures are
-computed by `sim_kinematic.sensing.agent_pictures`.
+The observations are the same for training environments and for policies from a file
+(`sim_kinematic.sensing.table.SENSES`). Pictures are computed by `sim_kinematic.sensing.agent_pictures`.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Array:
 def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float = STEP_S, xp: Any = np) -> Any:
     """Return the velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
 
-    It is the velocity over the ground, not relative to the robot.
+    The velocity is measured over the ground, not relative to the robot.
 
     Args:
         robot_heading: heading of the base [...] [rad].

@@ -142,8 +142,8 @@ def hand_turn(robot: Robot) -> Array:
 def reach_bearing(robot: Robot) -> float:
     """Return the direction in which a robot reaches for objects [rad], to the left of its forward axis.
 
-    It is the robot's own setting, otherwise the first of `HAND_REACH.bearings_rad` in which the arm reaches anything,
-    otherwise 0.
+    The direction is the robot's own setting, else the first of `HAND_REACH.bearings_rad` in which the arm reaches a
+    target, else 0.
     """
     return _found_bearing(robot) if robot.reach_bearing is None else robot.reach_bearing
 

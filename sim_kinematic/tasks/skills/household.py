@@ -484,7 +484,7 @@ class Household(Team):
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
-        """Return `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
+        """Return `RearrangeView.barrier` for an agent that prefers detours of ``detour_m`` [m] to opening a door."""
         if self.objects.openables is None:
             return -1
         shut, positions = self.objects.openables.barrier_of(k, at_goal=at_goal), self.objects.openables.positions
