@@ -364,7 +364,7 @@ class World:
     def free_along(self, xz: Array, headings: Array, max_m: float) -> Array:
         """Return the distance [W, R] [m] to the nearest obstacle, from places [W, 2] along headings [W, R] [rad].
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         reach = np.empty(headings.shape)
         for free, rows in self.groups:

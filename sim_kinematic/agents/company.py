@@ -20,7 +20,7 @@ class Company(Protocol):
     bodies: list[Any]
 
     def meets(self, me: Any) -> bool:
-        """Return whether an agent touches another that it avoids and did not touch before."""
+        """Return whether an agent touches another agent that it avoids and that it did not touch before."""
         ...
 
     def comes_too_near(self, me: Any) -> bool:

@@ -97,7 +97,10 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next goal [2] of a person at ``position`` [2]: a given one, or else a sampled one."""
+        """Return the next goal [2] of a person at ``position`` [2]: a given one, or else a sampled one.
+
+        A sampled goal is at least `WAYPOINTS.min_walk_m` away.
+        """
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)

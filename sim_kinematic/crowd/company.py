@@ -47,7 +47,7 @@ reach of their feet."""
 
 @kernel(error_model="numpy")
 def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
-    """Return the wanted velocity (x, z) [m/s] of a member of a group: parallel to the path of all where it has room."""
+    """Return the wanted velocity (x, z) [m/s] of a member of a group, parallel to the group's path if there is room."""
     ax, az = point_along(path, cumulative, along)
     tx, tz = point_along(path, cumulative, min(along + AHEAD_M, cumulative[-1]))
     aside = min(math.hypot(x - ax, z - az), ASIDE_M) / max(math.hypot(x - ax, z - az), 1e-6)

@@ -193,7 +193,10 @@ assets allow (`h3data.metrics.paper.protocol`), and ``natural`` is the default o
 
 @dataclass(frozen=True, kw_only=True)
 class SocialNavSpec:
-    """Rules of social navigation: find the person, then follow them at 1-2 m, facing them (paper section 4.1)."""
+    """Rules of social navigation: find the person, then follow them at 1-2 m, facing them.
+
+    The rules follow the paper (section 4.1 and appendix).
+    """
 
     max_steps: int = 1500
     spawn_distance_m: float = 5.0

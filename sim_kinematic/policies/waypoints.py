@@ -16,7 +16,10 @@ from sim_kinematic.policies.views import AgentView
 
 
 class WaypointPolicy(WaypointHuman):
-    """Scripted person of social navigation, who walks shortest paths to random points and avoids nobody."""
+    """Scripted person of social navigation, who walks shortest paths to random points and avoids nobody.
+
+    The script follows the paper (section 4.1).
+    """
 
     def act(self, view: AgentView) -> WaypointAction | PoseAction:
         """Return the waypoint to walk to, or the next stride."""

@@ -83,6 +83,9 @@ def shared_renderer(
     lit_as: Scene | None,
     thread: int,
 ) -> StateRenderer:
-    """Return the renderer of a thread (`threading.get_ident`) for one world of a home, cached between calls."""
+    """Return the renderer of a thread (`threading.get_ident`) for one world of a home, cached between calls.
+
+    The other arguments are those of `StateRenderer`.
+    """
     del thread  # a renderer must not be shared between threads
     return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps, light=light, lit_as=lit_as)

@@ -114,7 +114,7 @@ class Context(Protocol):
     def free_along(self, headings: Any, max_m: float) -> Any:
         """Return the distance [..., R] [m] from the agent along headings [..., R] [rad] to the nearest obstacle.
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         ...
 
@@ -205,7 +205,7 @@ class SensorContext(NamedTuple):
     def free_along(self, headings: Array, max_m: float) -> Array:
         """Return the distance [W, R] [m] from the agent along headings [W, R] [rad] to the nearest obstacle.
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         return self.world.free_along(self.now.xz, headings, max_m)
 

@@ -88,7 +88,7 @@ class RoomDoors:
             stands: Function that returns the places to stand ``(x, z, heading)`` [N, 3] on a floor.
             floor: The floor with the joints of the home at ``positions`` [J].
             positions: Positions of all joints [J] [rad or m].
-            detour_m: A path without opening doors that is longer by at most this is preferred.
+            detour_m: Additional length of a path without closed doors that is still preferred [m].
         """
         # the floor as it is first: half of the searches where no door is in the way
         around = nearest_stand(floor, stands(floor), start)[1]
