@@ -79,7 +79,7 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
         wx: Wanted velocity along x [m/s].
         wz: Wanted velocity along z [m/s].
         tau: Time constant of the desired velocity [s].
-        in_sight: True if only visible members count, as others would pull the person against a wall, and if members walk
+        in_sight: True if only visible members count, as others would pull people against a wall, and if members walk
             on at least slowly. False repeats recordings of earlier versions.
         unparted: True if members count only if nobody else is in between. False repeats earlier recordings.
     """

@@ -87,8 +87,8 @@ class AgentPictures:
             body: body of the agent.
             names: observations of the agent; those in `picture_names` and the body's cameras are pictures.
             agent: number of the agent in the state.
-            depth_size: width and height of depth, masks and boxes [pixels]; None is each camera's own. The field of view
-                does not change.
+            depth_size: width and height of depth, masks and boxes [pixels]; None is each camera's own. The field of
+                view does not change.
             rgb_size: width and height of colours [pixels]; None is each camera's own.
             sizes: width and height of single pictures by name [pixels], which override the two other sizes.
 
