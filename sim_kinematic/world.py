@@ -250,7 +250,7 @@ class World:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
-            InputError: the number of commands is not that of the agents, or one has a wrong shape or is not finite; then
+            InputError: the number of commands is wrong, or one has a wrong shape or is not finite; then
                 nothing has moved.
         """
         commands = self._checked(commands)

@@ -198,7 +198,7 @@ class SkillPolicyNetwork(CardedNetwork):
         """Return the scores of all choices and the next state [H], given inputs from `encoded` and the state [H].
 
         Raises:
-            InputError: the picture that the network needs is missing in the observations ``shown``, or has another size.
+            InputError: the picture that the network needs is missing in ``shown``, or has another size.
         """
         count = len(each)
         if self.sees:
