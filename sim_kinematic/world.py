@@ -1,4 +1,4 @@
-"""W worlds with the same agents, each in a home of its own: places everybody, moves everybody, says who touches whom.
+"""W worlds with the same agents, each in its own home, with placement, motion and contacts of the agents.
 
 ```python
 world = World(make_roster("robot,robot,human"), worlds=16)
@@ -7,8 +7,8 @@ world.step([DriveCommand(a), DriveCommand(b), WaypointCommand(points)])  # [16, 
 world.touching                                       # [16, 3]: of world.pairs
 ```
 
-A world of one is W = 1. Motion, contact and arms are those of the kernels in `sim_kinematic.motion`; a task
-(`sim_kinematic.tasks.task`) adds rules, a runner (`sim_kinematic.tasks.runner`) adds time.
+A single world has W = 1. Motion, contact and arms are computed by the kernels in `sim_kinematic.motion`. A task
+(`sim_kinematic.tasks.task`) adds rules, and a runner (`sim_kinematic.tasks.runner`) adds the loop over steps.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Rows = NDArray[np.intp]
 
 
 class DriveCommand(NamedTuple):
-    """Base velocities: forward and left turn in -1..1 of the limits, [W, 2]; a robot that moves sideways takes [W, 3].
+    """Base velocities of an agent: forward and left turn in -1..1 of the limits, [W, 2], or [W, 3] to move sideways.
 
     People drive too: as a disc that slides along obstacles, forwards only.
     """
@@ -54,7 +54,7 @@ class DriveCommand(NamedTuple):
 
 
 class WaypointCommand(NamedTuple):
-    """Points that people walk straight to, turning on the spot first, [W, 2] [m]."""
+    """Command with points that people walk straight to, turning on the spot first, [W, 2] [m]."""
 
     points: Array
 
@@ -63,39 +63,39 @@ class PoseCommand(NamedTuple):
     """Command that places people who walk along a path (`sim_kinematic.motion.stride`)."""
 
     points: Array
-    """Places on the floor [W, 2] [m]."""
+    """Positions on the floor [W, 2] [m]."""
     headings: Array
     """Headings [W] [rad]."""
     seats: Array
-    """Seats that they sit down on, as in `HumanState.seat`, [W, 2]."""
+    """Seats that the people sit down on, as in `HumanState.seat`, [W, 2]."""
 
 
 class GaitCommand(NamedTuple):
-    """Command with the place and walking phase of people in this step, computed elsewhere."""
+    """Command with the place and walking phase of people in this step, which are computed elsewhere."""
 
     gait: HumanState
-    """Gait of W worlds."""
+    """Gait of the person, as a state of W worlds."""
 
 
 class RecordedPoseCommand(NamedTuple):
     """Command that puts people at the next pose of a recorded track, without checks by the world."""
 
     xz: Array
-    """Places on the floor [W, 2] [m]."""
+    """Positions on the floor [W, 2] [m]."""
     heading: Array
     """Headings [W] [rad]."""
     posture: Posture
 
 
 class Posture(NamedTuple):
-    """Postures of people as motion clips, one row per world."""
+    """Postures of people as motion clips, with one row per world."""
 
     clip: NDArray[np.int64]
-    """Index of the motion clip."""
+    """Index of the motion clip, [W]."""
     phase: Array
-    """Place in the cycle of the clip, 0..1."""
+    """Phase in the cycle of the clip, 0..1, [W]."""
     blend: Array
-    """Weight of the clip over standing, 0..1."""
+    """Weight of the clip over standing, 0..1, [W]."""
     arms: Array
     """Fold of the left and the right arm, from 0 (out) to 1 (in), [W, 2]."""
     seat: Array
@@ -106,7 +106,7 @@ Command = DriveCommand | WaypointCommand | PoseCommand | GaitCommand | RecordedP
 
 
 class World:
-    """W worlds with one roster. State arrays are changed in place; `before` is the state one step ago."""
+    """W worlds with one roster, whose state arrays are changed in place; `before` is the state one step ago."""
 
     def __init__(
         self,
@@ -127,11 +127,11 @@ class World:
         Args:
             roster: agents of every world, robots first, then people.
             worlds: number of worlds W.
-            base: limits of driving, where a robot's own base does not give them (`base_of`).
+            base: rules for bases, unless a robot's own base overrides them (`base_of`).
             walker: gait and speed of people.
-            person_radius_m: radius of a person who is driven from outside.
+            person_radius_m: radius of a person who is driven from outside [m].
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
-            contact: whether it finds out who touches whom; otherwise whoever moves the agents sets `touching`.
+            contact: whether contacts are computed; otherwise the code that moves the agents sets `touching`.
             person_contact: collision shapes of people.
             objects: number of things that agents can take, in `state`.
             scene_joints: number of doors and drawers, in `state`.
@@ -144,7 +144,7 @@ class World:
         self.roster, self.worlds = tuple(roster), int(worlds)
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(member.body, rules) for member in self.roster)
-        """Discs and limits of each robot; the rules for people."""
+        """Discs and limits of each agent's base; those of the rules for people."""
         self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
         self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
@@ -158,9 +158,9 @@ class World:
             scene_joints=scene_joints,
         )
         self.state, self.people = pool_people(state)
-        """State of the worlds now, and all people of all worlds as one (`pool_people`)."""
+        """State of the worlds now, and all people of all worlds in one state (`pool_people`)."""
         self.before, self.people_before = pool_people(state.copy())
-        """The same one step ago."""
+        """State of the worlds one step ago, and all people of all worlds in one state."""
         self.start = state.copy()
         # paired once: steps change these arrays in place and never replace them. People's come as one.
         self._moments = tuple(
@@ -175,21 +175,21 @@ class World:
             member.body.clip_for_speed(self.walker.speed_mps) if isinstance(member.body, Humanoid) else -1
             for member in self.roster
         )
-        """The clip that each agent walks with, -1 of robots."""
+        """Index of the clip that each agent walks with; -1 for robots."""
         self.floors: list[FreeSpace] = []
-        """The map of each world."""
+        """Floor map of each world."""
         self.groups: list[tuple[FreeSpace, Rows]] = []
-        """The worlds that share a map: it and their indices."""
+        """Groups of worlds that share a map, each as the map and the indices of the worlds."""
         self._uneven: tuple[tuple[FreeSpace, Rows], ...] = ()
         """Groups of worlds whose floor is not level."""
         self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
         """Agents that touched an obstacle in the last step, [W, A]."""
         self.pairs = tuple(combinations(range(len(self.roster)), 2))
-        """Numbers (a < b) of all pairs of agents."""
+        """Pairs (a, b) with a < b of the numbers of all agents, P in all."""
         self.touching = np.zeros((self.worlds, len(self.pairs)), np.bool_)
-        """Pairs that touch after the last step, [W, P]."""
+        """True for pairs of agents that touch after the last step, [W, P]."""
         self.floor_y: Array = np.zeros(self.worlds)
-        """Height of the floor in each world [m], [W]; of the lowest storey (`heights`)."""
+        """Height of the floor in each world, or of its lowest storey (`heights`), [W] [m]."""
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
         self._kept: dict[int, Posture] = {}
@@ -204,7 +204,7 @@ class World:
         """Put all agents at rest at their starts, each world on its own floor.
 
         Args:
-            starts: (x, z, heading) of each agent, [n, A, 3].
+            starts: places ``(x, z, heading)`` of the agents, [n, A, 3].
             floors: free floor of each of the n worlds.
             rows: numbers of these worlds (default: all).
         """
@@ -250,7 +250,7 @@ class World:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
-            InputError: the number of commands is not the number of agents, or one has another shape or is not finite; then
+            InputError: the number of commands is wrong, or one has a wrong shape or is not finite; then
                 nothing has moved.
         """
         commands = self._checked(commands)
@@ -316,14 +316,17 @@ class World:
             self.people.arms[those] = drawn.arms
 
     def all_agents(self, name: str, *, before: bool = False) -> Array:
-        """Return an array that robots and people have, such as ``xz``, of all agents, [W, A, ...]; ``before``: one step ago."""
+        """Return an array of all agents, [W, A, ...], by the name of the field, such as ``xz``.
+
+        With ``before``, the values are those of one step ago.
+        """
         people = vars(self.people_before if before else self.people)[name]
         people = people.reshape(len(self.state.people), self.worlds, *people.shape[1:])
         robots = [vars(own)[name] for own in (self.before if before else self.state).robots]
         return np.ascontiguousarray(np.swapaxes(np.concatenate([*(own[None] for own in robots), people]), 0, 1))
 
     def heights(self, xz: Array) -> Array:
-        """Return the height of the floor at a place (x, z) in each world, [W, 2] -> [W] [m]."""
+        """Return the height of the floor [W] [m] at a place ``(x, z)`` in each world [W, 2]."""
         if not self._uneven:
             return self.floor_y
         height = self.floor_y.copy()
@@ -341,7 +344,7 @@ class World:
         return poses
 
     def geodesic(self, a: int, b: int, rows: Rows | None = None) -> Array:
-        """Return lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
+        """Return the lengths [n] [m] of the shortest paths between two agents in worlds ``rows`` [n] (default: all)."""
         xz, other = self.state.agents[a].xz, self.state.agents[b].xz
         if rows is None and len(self.groups) == 1:
             return self.groups[0][0].geodesic(xz, other)
@@ -361,7 +364,7 @@ class World:
     def free_along(self, xz: Array, headings: Array, max_m: float) -> Array:
         """Return the distance [W, R] [m] to the nearest obstacle, from places [W, 2] along headings [W, R] [rad].
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         reach = np.empty(headings.shape)
         for free, rows in self.groups:
@@ -371,12 +374,13 @@ class World:
     def circles(self, agent: int, *, legs: bool = False) -> Array:
         """Return all other agents as circles ``(x, z, radius)`` [W, N, 3] [m].
 
-        Robots are the discs of their bases; people are one disc, or with ``legs`` two legs in their posture.
+        Robots are the discs of their bases. A person is one disc, or with ``legs`` two circles for the legs in their
+        posture.
         """
         return self._discs_beside(agent, self.state.agents, legs=legs)
 
     def in_root_frame(self, own: AgentState, points: Array) -> Array:
-        """Transform world points [W, n, 3] to the agent root frames of agents."""
+        """Transform world points [W, n, 3] [m] to the agent root frames of the agents with the state ``own``."""
         root = ground_pose(own.xz, own.heading, self.heights(own.xz))[:, None]
         return np.asarray(quat_rotate(quat_conjugate(root[..., 3:]), points - root[..., :3]))
 

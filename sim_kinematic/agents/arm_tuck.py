@@ -1,7 +1,8 @@
-"""Room for the arms: how far a person draws each arm in towards the body, from the distance field at both sides.
+"""Room beside a person for the arms, and how far it makes them draw each arm in towards the body.
 
-A line runs along each side of the person, forward and back. What is near it draws the arm in: wholly at the person, less
-farther ahead or behind. So an arm begins to come in before the person is at a door post, and is let go after it.
+A line runs along each side of the person, forward and back. An obstacle near the line draws the arm in: fully beside
+the person, and less the farther ahead or behind it is. So an arm starts to come in before the person reaches a door
+post, and swings out again after it.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from sim_kinematic.motion.state import HumanState
 ROUNDING = 1e-9
 """Tolerance in the comparisons of `_draw_in_worlds`, far above what rounding can cause."""
 BLOCK = 256
-"""Number of lines that are followed together, so that their numbers fit into the first cache."""
+"""Number of lines beside people that are followed together, so that their data fit into the first cache."""
 LOOKS = 3
-"""Number of steps after which finished lines are removed, which saves a tenth of the time. A line is finished when no further
-step can change its arm, so the results are the same."""
+"""Number of steps along a line after which finished lines are removed, which saves a tenth of the time. A line is
+finished when no further step can change the fold of its arm, so the results are the same."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
-"""Room around the palm with which a hand that carries something is held out, and room with which it is close to the
-body [m]: hand and object reach 8 to 10 cm beyond the palm."""
+"""Room around the palm above which a hand that carries something is held out, and below which the hand is close to the
+body [m]. Hand and object reach 8 to 10 cm beyond the palm."""
 FAN, ONWARD = np.linspace(-1.0, 1.0, 9) * 1.2, np.array([0.25, 0.5, 0.75])
-"""Turns of the body [rad], and distances straight ahead [m], at which room is measured in advance."""
+"""Turns of the body [rad], and distances straight ahead [m], at which the room for a held object is measured in
+advance."""
 
 
 @kernel(error_model="numpy")
@@ -121,7 +123,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 
 @kernel(error_model="numpy")
 def draw_in_planted(sdf, origin, cell, xz, heading, arms, busy, room, quats):
-    """Move the arms of people with planted feet by one step, as `draw_arms`, and draw them in in their poses [W, 55, 4]."""
+    """Move the arms of people with planted feet by one step as `draw_arms`, and fold them in the poses [W, 55, 4]."""
     _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, *room)
     tuck_all(quats, arms, SHOULDERS, CLOSE_SHOULDERS)
     tuck_all(quats, arms, COLLARS, CLOSE_COLLARS)
@@ -129,7 +131,7 @@ def draw_in_planted(sdf, origin, cell, xz, heading, arms, busy, room, quats):
 
 @lru_cache(maxsize=64)
 def arm_room(body: Humanoid, rules: ArmRoomSpec) -> tuple[float, ...]:
-    """Return the numbers by which `_draw_in_worlds` draws in the arms of a body."""
+    """Return the constants for a body by which `_draw_in_worlds` folds its arms."""
     # room is measured from the line, which is `aside_m` off the middle of the body
     width = width_m(body) - rules.aside_m
     return (
@@ -180,10 +182,10 @@ def _held_close(sdf, origin, cell, x, z, heading, ahead, aside, per_rad, per_m, 
 def held_close(
     free: FreeSpace, xz: Array, heading: float, hand: tuple[float, float], spec: WalkerSpec, rules: ArmRoomSpec
 ) -> float:
-    """Return the share, 0 (held out) to 1, by which a person holds their load close to the body, at a place [2] and heading.
+    """Return how close to the body a person holds their load at a place [2] and heading, from 0 (held out) to 1.
 
-    ``hand`` is where the hand is when held out: ahead of the body and to its right [m]. They look ahead as far as the arm
-    needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
+    ``hand`` is the position of the hand when it is held out: ahead of the body and to its right [m]. The person looks
+    ahead as far as they turn and walk, at the limits of ``spec``, while the arm comes in at ``rules.rate`` per step.
     """
     return _held_close(
         free.sdf,

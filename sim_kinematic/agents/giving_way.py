@@ -1,6 +1,7 @@
-"""Mutual attention of the agents of one world: observation of each other, giving way, and contact.
+"""Mutual attention of the agents of one world: how they observe each other, give way, and touch.
 
-They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
+Agents move one after the other. It is used by agents with skills and by agents that wander
+(`sim_kinematic.policies.traffic`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
 
 
 class GivingWay:
-    """Mutual attention of all actors of one world: their positions, contacts, and who steps aside for whom."""
+    """Mutual attention of all actors of one world: their positions, their contacts, and the agents that step aside."""
 
     def __init__(
         self,
@@ -51,16 +52,16 @@ class GivingWay:
         solid: bool = False,
         in_clips: bool = False,
     ) -> None:
-        """Introduce actors to each other: from now on each of them has this as its ``company``.
+        """Introduce actors to each other, and set this object as the ``company`` of each.
 
         Args:
             roster: agents of the world.
             actors: the same agents, by number.
-            right_of_way: sends agents aside; None: nobody is asked to.
+            right_of_way: rules that send agents aside; None: no agent is asked to step aside.
             agreed: whether all agents step aside for each other when they are asked.
             people_see_robot: whether a person with one robot avoids it.
             person_radius_m: radius of a person's disc.
-            solid: whether people who are driven from outside slide along the discs of the others.
+            solid: whether people who are driven from outside slide along the discs of other agents.
             in_clips: whether people only move as in their motion clips, so that their hands stay near.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
@@ -103,7 +104,7 @@ class GivingWay:
         return AgentContacts(*(body_shapes(body) for body in self.bodies))
 
     def track(self, number: int) -> NDArray[np.float64]:
-        """Return where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
+        """Return the positions of an agent at the start and at the end of every step, [T + 1, 2] [m]; a view."""
         return self._places[number, : self._moments]
 
     def nearest(self, number: int) -> int:
@@ -115,7 +116,7 @@ class GivingWay:
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Return whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
+        """Return whether an agent avoids another; only a person with one robot under Habitat's rules avoids nobody."""
         alone = (
             len(self.actors) == 2
             and not self._people_see_robot
@@ -125,7 +126,7 @@ class GivingWay:
         return other is not me and not alone
 
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
-        """Decide who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
+        """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
             self.right_of_way.update(carrying)
 
@@ -174,26 +175,26 @@ class GivingWay:
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
-        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture; a robot's without what it holds."""
+        """Return the discs ``(x, z, radius)`` [N, 3] of an agent in its present posture, without a robot's load."""
         actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
         if isinstance(actor, RobotActor):
             offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def discs_beside(self, number: int) -> NDArray[np.float64]:
-        """Return the present discs ``(x, z, radius)`` [N, 3] of all agents but one."""
+        """Return the present discs ``(x, z, radius)`` [N, 3] [m] of all agents except one."""
         discs = [self.discs_of(other.number) for other in self.actors if other.number != number]
         return np.concatenate([np.zeros((0, 3)), *discs])
 
     def comes_too_near(self, me: AnyActor) -> bool:
-        """Return whether a person has come nearer to the discs of others than allowed in this step."""
+        """Return whether a person has come nearer in this step to the discs of other agents than allowed."""
         discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
         # never more than the gap that there was: whoever is too near already may stay, and leave
         least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
         return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
 
     def frames(self) -> list[Array]:
-        """Return frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        """Return the present world frames of the agents: robots' links [1, L, 4, 4], people's joints [1, 55, 4, 4]."""
         return [
             actor.robot.link_matrices(actor.pose[None], actor.joints[None])
             if isinstance(actor, RobotActor)
@@ -202,7 +203,7 @@ class GivingWay:
         ]
 
     def end_step(self) -> None:
-        """Store the places of all agents after a step, and which of them touch."""
+        """Store the places of all agents after a step, and the pairs of agents that touch."""
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1

@@ -1,8 +1,9 @@
-"""Arms and grips: joints that move by small steps within their limits, objects that a hand takes, carries and lets go.
+"""Arms and grips: joints that move by small steps, and objects that a hand takes, carries and releases.
 
-Kinematic, as in Habitat: a held object is rigid with the hand, a released one stays where it is, in the air if need be
-(spec/habitat.md 2.4). Scalar definitions, looped over worlds, as in `sim_kinematic.motion.step`. The order of a step:
-base, arm, grip, then `carry_objects` with the hand's new place.
+Manipulation is kinematic, as in Habitat: a held object moves rigidly with the hand, and a released object stays where
+it is, even in the air (spec/habitat.md 2.4). The kernels are scalar definitions, looped over worlds, as in
+`sim_kinematic.motion.step`. In a step the base moves first, then the arm, then the grip; `carry_objects` follows with
+the new frame of the hand.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from sim_kinematic.motion.step import first_not_finite
 # --- the robot's arm ----------------------------------------------------------------------------------------------------
 @kernel(error_model="numpy")
 def step_joint(position, command, most, lower, upper):
-    """Return a joint after one step of ``command``, clipped to -1..1 of ``most`` [rad or m] and to its limits."""
+    """Return a joint position after one step: ``command`` times ``most``, clipped to the limits [rad or m]."""
     return min(max(position + min(max(command, -1.0), 1.0) * most, lower), upper)
 
 
@@ -46,7 +47,7 @@ def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec)
 
     Args:
         state: state of the robot.
-        robot: its body.
+        robot: body of the robot.
         action: -1..1 of ``spec.joint_step`` for each of ``robot.arm_columns``, [W, n].
         spec: limits of the arm.
 
@@ -62,7 +63,7 @@ def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec)
 
 
 def robot_hands(state: RobotState, robot: Robot, floor: Floor = 0.0) -> NDArray[np.float64]:
-    """Return the frames in which a robot holds things: its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
+    """Return the frames in which a robot holds objects, hand to world, [W, 4, 4]; their origin is ``hand_position``."""
     base = root_pose(robot, state.xz, state.heading, floor)
     hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
     hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position
@@ -152,9 +153,10 @@ def grip_objects(
 ) -> None:
     """Close or open the hands of one agent in all worlds by ``action`` [W], in place.
 
-    Above 0, an empty hand takes the nearest object that nobody holds, if its origin is within ``spec.grasp_m``: the
-    object snaps to the hand and keeps its orientation (Habitat's takes the hand's; and there, 0 grasps too). Below 0, it
-    lets go. ``hands`` [W, 4, 4]: `robot_hands`, or any frame for a person.
+    With an action above 0, an empty hand takes the nearest object that no agent holds, if its origin is within
+    ``spec.grasp_m``. The object snaps to the hand and keeps its orientation; in Habitat it takes that of the hand, and
+    an action of 0 grasps too. With an action below 0, the hand releases its object. ``hands`` [W, 4, 4] are the frames
+    from `robot_hands`, or any frames for a person.
 
     Raises:
         InputError: an array has the wrong shape, or an action or a hand is not finite; then nothing is taken.
@@ -168,7 +170,7 @@ def grip_objects(
 
 
 def carry_objects(state: WorldState, hands: NDArray[np.float64], *, agent: int = ROBOT) -> None:
-    """Take along what an agent holds, in place: ``hands`` [W, 4, 4] are the new frames of its hands."""
+    """Move the objects that an agent holds along with its hands, in place; ``hands`` [W, 4, 4] are the new frames."""
     _carry_worlds(_hands(hands, state), state.object_pose, state.held_by, state.grip_pose, agent)
 
 

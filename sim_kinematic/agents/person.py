@@ -1,15 +1,16 @@
-"""A person under control, at three levels: joints (`Person.set_pose`), a hand's target (`Person.reach_to`), and skills.
+"""A person under control, by joints (`Person.set_pose`), by a target for a hand (`Person.reach_to`), or by skills.
 
-Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in the hands hold the
-new moment; the generator's return value is a `MotionResult`. `run` plays one to its end and keeps the frames:
+Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in the hands
+are up to date; the generator's return value is a `MotionResult`. `run` plays a skill to its end and collects the
+frames:
 
 ```python
 person = Person(load_humanoid("female_1"), ground_pose([0, 0], 0.0), {"mug": mug_pose})
 frames, result = run(person, person.pick("mug", "left"))
 ```
 
-Everything is kinematic: nothing is pushed and nothing stops a hand. What a hand cannot reach it does not pick: success is
-judged by where the hand is, unlike in Habitat, which judges by where it was sent (spec/habitat.md 3.5).
+Everything is kinematic: nothing is pushed, and nothing stops a hand. A hand picks only objects that it reaches: success
+depends on where the hand is, unlike in Habitat, where it depends on the commanded target (spec/habitat.md 3.5).
 """
 
 from __future__ import annotations
@@ -59,29 +60,32 @@ from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
 CARRY = (0.27, 0.80, 0.15)
-"""Position of a hand that carries something: forward, up, to its side, in heights of the shoulder."""
+"""Position of a hand that carries something: forward, up, and to its side, as multiples of the height of the
+shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 SNAP_M = 0.01
 """Distance from the palm within which a hand takes hold of an object [m]."""
 EASE_M, JOINT_STEP_RAD = 0.08, 0.18
-"""Part of the path over which the trunk goes from standing to reaching [m], where an empty hand may leave its line by 8 mm;
-largest turn of a joint per step [rad] (310 degrees a second): a hand moves more slowly where a joint would exceed it."""
+"""Length of the part of the path over which the trunk moves from standing to reaching [m], where an empty hand may
+leave its line by 8 mm; and largest turn of a joint per step [rad] (310 degrees per second). A hand moves more slowly
+where a joint would exceed this turn."""
 SETTLE_STEPS, CLOSE_ENOUGH = 45, 0.1
-"""Number of steps within which feet get to their standing places; remaining distance from the carrying pose, as a share, at
-which a person begins to walk."""
+"""Number of steps within which feet get to their standing places; and remaining share of the movement to the carrying
+pose at which a person starts to walk."""
 FADE_STEPS = 12
-"""Number of steps over which walking is blended into reaching and back. A line of the hand takes no fewer, so its end
-is exact. Without it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
+"""Number of steps over which walking is blended into reaching and back. A straight movement of the hand takes at least
+as many steps, so its end is exact. Without the blend, interrupting a reach turned a shoulder by up to 76 degrees in one
+step."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around if no size is known, and the range of possible radii [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
-"""Length and half thickness of a bone of a finger [m]."""
+"""Length and half thickness of the bone of a finger [m]."""
 REST_CURL, OPEN_CURL, HANDLE_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 0.9, 1.1, 0.12
-"""Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, around a handle, at
-most, and by which it changes in a step."""
+"""Bend of each joint of a finger [rad]: in the rest pose; relative to the rest pose just before the hand takes an
+object, around a handle, and at most; and the largest change in one step."""
 CLOSES_FROM = 0.8
-"""Share of the path to a thing after which a hand begins to close."""
+"""Share of the path to an object after which a hand starts to close."""
 ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
     side: np.array(
         [
@@ -94,8 +98,8 @@ ARM_CHAINS: dict[Hand, NDArray[np.intp]] = {
 """Joints from above the pelvis to each wrist."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
-"""Largest number of steps that the hand waits for the head, and remaining turn of the head below which it sets off
-[rad]."""
+"""Largest number of steps that the hand waits for the head, and remaining turn of the head below which the hand sets
+off [rad]."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -107,8 +111,8 @@ class MotionResult:
     reason: str = ""
     """Reason for the failure: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """Distance from the target to the hand (or the object that it puts down), where it is or where it would be nearest
-    [m]."""
+    """Distance from the target to the hand, or to the object that it puts down, at its present or its nearest possible
+    position [m]."""
     base_motion: BaseMotion | None = None
     """Motion to a place from which the target is reached (see `Person.approach`); None if no such motion helps."""
 
@@ -117,7 +121,7 @@ Skill = Generator[object, None, MotionResult]
 
 
 class Frame(NamedTuple):
-    """State of a person in one step: the free-form pose columns of a recording, and the objects."""
+    """State of a person in one step: the free-form pose columns of a recording, and the poses of the objects."""
 
     base: Array
     """Pose (pose7) of the agent root [7]."""
@@ -130,13 +134,13 @@ class Frame(NamedTuple):
 
 
 class Held(NamedTuple):
-    """Object in a person's hand."""
+    """Object that a person holds in one hand."""
 
     name: str
     grip: Array
-    """Pose of the object in the palm's frame."""
+    """Pose (pose7) of the object in the palm's frame [7]."""
     stood: Array
-    """Rotation of the object relative to the person's heading when it was taken."""
+    """Rotation (quaternion xyzw) of the object relative to the person's heading when it was taken [4]."""
 
 
 class Transition(NamedTuple):
@@ -145,17 +149,17 @@ class Transition(NamedTuple):
     kind: str = ""
     """Kind of the last pose: ``walk``, ``reach``, or empty if it was set from outside."""
     quats: Array | None = None
-    """Last pose [55, 4] of the previous kind of motion; None if there was none."""
+    """Last pose [55, 4] of the previous kind of motion (quaternions xyzw); None if there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """Remaining share of that pose in the blend, from 1 to 0."""
+    """Remaining weight of the last pose of the previous motion in the blend, from 1 to 0."""
 
 
 class Person:
-    """A humanoid with a place and a pose in the world, and the objects that it can take."""
+    """Humanoid with a place and a pose in the world, and the objects that it can take."""
 
     call: ClassVar[Entries] = Entries()
-    """Kernels called with poses: those of all people are contiguous and float64."""
+    """Kernels that are called with the poses of people, which are contiguous and float64."""
 
     def __init__(
         self,
@@ -168,14 +172,14 @@ class Person:
         sizes: Mapping[str, float] | None = None,
         state: HumanState | None = None,
     ) -> None:
-        """Puts a person at a pose, standing still.
+        """Put a person at a pose, standing still.
 
         Args:
             body: body of the person.
             base_pose: pose of the agent root [7].
             objects: world poses [7] of the objects that can be picked, by name.
             spec: how the person walks.
-            free: free floor, by which the arms are folded in as ``spec.arms`` says.
+            free: free floor, whose obstacles cause the arms to fold in by the rules ``spec.arms``.
             sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
             state: the person's part of the state of one world, whose place and heading follow the agent root.
         """
@@ -231,7 +235,7 @@ class Person:
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
-        """Set the joints of the body; objects in the hands follow.
+        """Set the joints of the body; objects in the hands move with them.
 
         Args:
             quats: local rotations [55, 4], that of the pelvis in the agent root frame, as `Humanoid.clip_pose` returns them.
@@ -263,7 +267,7 @@ class Person:
         return self.body.joint_matrices(self.base, self.quats[None], self.pelvis[None])[0]
 
     def palm(self, hand: Hand) -> Array:
-        """Return the pose (pose7) of a palm in the world: its grasp point, with the axes of the wrist."""
+        """Return the pose (pose7) of a palm in the world: origin at its grasp point, axes of the wrist."""
         frame, place = self._wrist(hand)
         return np.concatenate([place, quat_from_matrix(frame[:3, :3])])
 
@@ -274,7 +278,7 @@ class Person:
         return frame[0], (frame[:, :3, :3] @ grasp_point(self.body, hand) + frame[:, :3, 3])[0]
 
     def upright(self, held: Held) -> Array:
-        """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
+        """Return the world rotation (quaternion) [4] of a held object that stays as upright as it was when taken."""
         return quat_multiply(quat_from_heading(self.heading), held.stood)
 
     def frame(self) -> Frame:
@@ -284,7 +288,7 @@ class Person:
 
     # --- a hand's target --------------------------------------------------------------------------------------------
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
-        """Move a palm to a world position [3] at once, or as near to it as possible; the result states which."""
+        """Move a palm to a world position [3] [m] at once, or as near to it as possible; the result says which."""
         result = reach(self.body, self.seen(position), hand)
         # at once: an arm that is let out by small steps would keep the palm off its place
         self._drawn.arms[0, HANDS.index(hand)] = 0.0
@@ -293,14 +297,17 @@ class Person:
 
     # --- skills -----------------------------------------------------------------------------------------------------
     def wait(self, seconds: float) -> Skill:
-        """Stand, breathe and shift weight."""
+        """Stand for some seconds, breathing and shifting weight."""
         for _ in range(round(seconds / STEP_S)):
             self.stride()
             yield
         return MotionResult(success=True)
 
     def turn(self, heading: float, *, settles: bool = True) -> Skill:
-        """Turn on the spot by steps until the heading [rad] is reached; if it ``settles``, both feet end where they belong."""
+        """Turn on the spot by steps until the heading [rad] is reached.
+
+        If the turn ``settles``, both feet end in their standing places.
+        """
         start = float(heading_from_quat(self.base[3:]))
         way = float(wrap_angle(heading - start))
         steps = max(int(np.ceil(abs(way) / (self.spec.turn_rad_s * STEP_S))), 1) if abs(way) > 1e-9 else 0
@@ -314,7 +321,7 @@ class Person:
         return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
-        """Step until both feet stand where they belong; do nothing if they do, or if the root was moved by others."""
+        """Step until both feet are in their standing places, unless they are or the root was moved from outside."""
         if not self.walk.is_at(self.base):
             self.walk.stand(self.base)
         for _ in range(SETTLE_STEPS):
@@ -324,7 +331,7 @@ class Person:
             yield
 
     def walk_to(self, path: ArrayLike) -> Skill:
-        """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
+        """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; carry held objects."""
         points = np.atleast_2d(np.asarray(path, np.float64))
         if points.shape[-1] != 2 or not np.isfinite(points).all():
             raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.", code="H3-SIM-014")
@@ -348,7 +355,7 @@ class Person:
         return MotionResult(success=True)
 
     def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
-        """Walk, in a straight line, to where the hand reaches a world position [3]."""
+        """Walk in a straight line to a place from which the hand reaches a world position [3] [m]."""
         result = reach(self.body, self.seen(position), hand)
         if result.base_motion is None:
             return MotionResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
@@ -358,7 +365,7 @@ class Person:
         return MotionResult(success=True)
 
     def pick(self, name: str, hand: Hand = "right") -> Skill:
-        """Move a hand on a straight line to an object, take it, and bring it to where it is carried."""
+        """Move a hand in a straight line to an object, take it, and bring it to the carrying position."""
         if name not in self.objects:
             raise InputError(
                 f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.", code="H3-SIM-015"
@@ -396,7 +403,7 @@ class Person:
         return MotionResult(success=True, hand_error_m=error)
 
     def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
-        """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
+        """Put down the object in a hand at a world position [3] [m], upright as it was taken, and withdraw the hand."""
         if hand not in self.held:
             raise InputError(f"The {hand} hand holds nothing.", code="H3-SIM-017")
         held, target = self.held[hand], self.seen(position)
@@ -416,7 +423,7 @@ class Person:
         return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
-        """Grasp a handle, lead it along a path, and take the hand back.
+        """Grasp a handle, lead it along a path, and withdraw the hand.
 
         Args:
             points: world points of the path [T, 3], the first at the handle; the hand follows them as far as the arm reaches.
@@ -453,13 +460,13 @@ class Person:
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
-        """Transform a world position [3] into the agent root frame."""
+        """Transform a world position [3] [m] into the agent root frame."""
         return seen_from(self.base, position)
 
     def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """Return the poses of the body while a hand moves to a world position [3], in the agent root frame.
+        """Return the poses of the body while a hand moves to a world position [3] [m], in the agent root frame.
 
-        An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
+        An empty hand moves as in `pick`, and a hand that holds an object as in `place`. The person is not moved.
         """
         target = self.seen(position)
         if full:
@@ -532,17 +539,17 @@ class Person:
         self.show("walk", self.with_arms(quats), pelvis)
 
     def root_at(self, gait: HumanState) -> Array:
-        """Return the pose (pose7) of the root where ``gait`` (one world) is, at the height of the floor there."""
+        """Return the pose (pose7) of the agent root at the place and heading of ``gait`` (one world), on the floor."""
         if self.free is not None and len(self.free.heights):
             return self.free.root_pose(gait.xz[0], gait.heading.item(0))
         return ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
 
     def leave(self) -> None:
-        """Blend the next poses, of whatever motion, with this one."""
+        """Start a blend from the present pose to the next ones, of whatever motion."""
         self.transition = Transition()
 
     def show(self, kind: str, quats: Array, pelvis: Array) -> None:
-        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
+        """Show a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the previous kind.
 
         The feet stay where walking has put them.
         """
@@ -586,7 +593,7 @@ class Person:
         return quats
 
     def curl_around(self, name: str) -> float:
-        """Return the bend of each joint of a finger [rad] at which its bones touch a round object of a given radius."""
+        """Return the bend of each finger joint [rad] at which the fingers touch an object, by the object's name."""
         radius = min(max(self.sizes.get(name, GRIP_M), GRIP_WITHIN[0]), GRIP_WITHIN[1])
         # bones of length l that touch a circle of radius r at their middles bend by 2 atan(l / 2r)
         return min(2 * math.atan(FINGER_M / 2 / (radius + FINGER_HALF)) - REST_CURL, CURL_MOST)
@@ -665,13 +672,13 @@ def _blended(a: Array, b: Array, share: float) -> Array:
 
 
 def seen_from(base: Array, position: ArrayLike) -> Array:
-    """Return a world position [3] in the frame of an agent root at a pose7 [7]."""
+    """Return a world position [3] [m] in the frame of an agent root at a pose7 [7]."""
     inverse = pose_inverse(base)
     return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:
-    """Play a skill to its end and return the frames after each of its steps, and the result of the skill."""
+    """Play a skill to its end; return the frames after each of its steps, and the result of the skill."""
     frames = []
     while True:
         try:

@@ -1,7 +1,7 @@
 """Room to reach: tests whether a standing person can bring a hand to a point with the body clear of walls and furniture.
 
-The collision capsules are posed along the hand's path (`Person.hand_path`) and asked of FCL against the static scene,
-thinner by `TOLERANCE_M`: what then touches is deeper than that.
+The collision capsules are posed along the hand's path (`Person.hand_path`), and FCL tests them against the static
+scene. The capsules are thinner by `TOLERANCE_M`, so only deeper overlaps count as contact.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 WAYS_KEPT, ANSWERS_KEPT = 1000, 10_000
-"""Number of cached paths of a body's hand, 30 kB each, and of cached answers, 300 bytes each. A home has about 500
-paths: one for each height of its surfaces and each distance of a stand. With 200, half of the time of `is_clear` went
-into computing them again."""
+"""Number of cached paths of a body's hand (30 kB each), and of cached results (300 bytes each). A home has about 500
+paths: one for each height of its surfaces and each distance of a stand. With 200 of them, half of the time of
+`is_clear` went into computing paths again."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
 }
-"""Parts of the body that may be inside the furniture with the point, as an object on a shelf is taken from inside
-it."""
+"""Parts of the body that may be inside the furniture that holds the object, since an object on a shelf is taken from
+inside the shelf."""
 
 
 class _Part(NamedTuple):
@@ -64,7 +64,7 @@ class BodyClearance:
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
-        """Return whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        """Return whether a person at a stand ``(x, z, heading)`` [3] can move a hand to a point [3] and back."""
         stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
         asked = stand.tobytes(), point.tobytes(), hand
         if asked not in self._answers:

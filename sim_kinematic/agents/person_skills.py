@@ -32,15 +32,16 @@ from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.motion.stride import CREEP_MPS, Strider
 
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
-"""Number of steps in which a person cannot step aside without touching somebody, and number of steps that they then go back."""
+"""Number of steps after which a person who cannot step aside without contact goes back, and number of steps that they
+go back."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
-"""Speeds at which people step sideways and back: without turning, and while they turn in their direction of motion
+"""Speeds of people who step sideways or back without turning, and who turn into their direction of motion meanwhile
 [m/s]."""
 ASIDE_LEG_M = 0.05
 """Least distance between points of a path aside [m]: people would brake at every point of a rounded corner."""
 HALT_STEPS, TURN_PATIENCE_STEPS = 30, 10
-"""Number of steps in which a walking person who is asked to turn comes to a stand, and for which they wait for room to turn on
-the spot; after them they turn while walking."""
+"""Number of steps in which a walking person who has to turn comes to a stand, and number of steps for which they then
+wait for room to turn on the spot before they turn while walking."""
 
 
 class _Posture(NamedTuple):
@@ -61,10 +62,10 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """Person with skills, who uses the right hand, or the left one if the right one cannot reach.
+    """Person with skills, who uses the right hand, or the left one where the right one does not reach.
 
-    The person gives way to the agents in ``others``. Alone with one robot it is empty, as people in Habitat do not give
-    way to robots.
+    The person gives way to the agents in ``others``. It is empty for a person alone with one robot, as people in
+    Habitat do not give way to robots.
     """
 
     person: Person
@@ -74,18 +75,18 @@ class PersonActor:
     number: int = HUMAN
     """Index of the agent."""
     room: BodyClearance | None = None
-    """Check of the room for the body; None: nothing is checked."""
+    """Test of the room for the body; None: no test is made."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents to which the person gives way, the nearest first."""
     company: Company | None = None
-    """Agents to which the person gives way, itself included; None: it is alone."""
+    """Agents to which the person gives way, with access by number; None: the person is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     is_robot = False
     footprint = AVOIDANCE.person
-    """Space that other agents leave for a person."""
+    """Discs on the floor that other agents keep clear of."""
 
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
@@ -100,7 +101,7 @@ class PersonActor:
         """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     def meets(self) -> bool:
-        """Return whether the person touches somebody now, so that both stay where they were."""
+        """Return whether the person touches an agent now, in which case both stay where they were."""
         return self.company is not None and self.company.meets(self)
 
     @property
@@ -110,7 +111,7 @@ class PersonActor:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Points [N, 2] of the path that the person walks, their own place first, computed when it is read."""
+        """Points [N, 2] [m] of the path that the person walks, from their own place on; computed when it is read."""
         if isinstance(self._announced, partial):
             self._announced = self._announced()
         return self._announced
@@ -139,7 +140,7 @@ class PersonActor:
 
     @property
     def hand_pose(self) -> Array:
-        """Return the pose (pose7) in the world of the palm that holds an object, else of the right palm."""
+        """Return the pose (pose7) in the world of the palm that holds an object, or of the right palm."""
         holding = tuple(self.person.held)
         return self.person.palm(holding[0] if holding else "right")
 
@@ -172,7 +173,7 @@ class PersonActor:
         return "" if any(self._reaches(stand, handle, hand) for hand in HANDS) else "out_of_reach"
 
     def start(self, action: Action) -> Skill:
-        """Begin a skill."""
+        """Start a skill."""
         k = action.target
         # before it is cleared: the next walk has to know that the last one was turned away
         self._goes_around |= self.turned_away
@@ -243,7 +244,7 @@ class PersonActor:
         return (yield from self._go_to(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
-        """Return stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] within walking reach from which a hand reaches a world point [3]."""
         free = free or self.free
         # the floor is a part of the key, as a door that opens replaces it (`walk_on`)
         known = free, hand, island_of(free, self.xz), point.tobytes()
@@ -252,11 +253,11 @@ class PersonActor:
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Return stands for either hand on the floor ``free``."""
+        """Return the stands on the floor ``free`` from which either hand reaches a world point [3]."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
-        """Use another floor from now on, because something of the home has opened or closed."""
+        """Use another floor from now on, because a door or drawer of the home has moved."""
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:

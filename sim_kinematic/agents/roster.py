@@ -1,4 +1,4 @@
-"""The agents of a world: any robots and people, as a list of kinds, bodies and files."""
+"""Roster of a world: any number of robots and people, as a list of kinds, bodies and files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sim_kinematic.motion.spec import BaseSpec
 
 Kind = Literal["robot", "human"]
 ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
-"""Default bodies for 'robot' and 'human'."""
+"""Names of the default bodies of agents of kind ``robot`` and ``human``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,26 +32,26 @@ class AgentSpec:
 
     kind: Kind
     name: str
-    """Name in recordings: the kind, numbered if there are several of it."""
+    """Name in recordings: the kind, with a number if there are several agents of it."""
     model: str
-    """Name of a body or a path, as `load_robot` and `load_humanoid` take it."""
+    """Name of a body, or a path to one, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
-    """Return the map on which all agents of an episode can move: without its stairs if one of them cannot climb."""
+    """Return the map on which all agents of an episode can move: without stairs if an agent cannot climb them."""
     return free if all(member.body.climbs_stairs for member in roster) else free.without_stairs
 
 
 def make_roster(
     agents: str | Sequence[str | Robot], *, robot: str | Path | Robot = ROBOT_BODY, human: str = HUMAN_BODY
 ) -> tuple[AgentSpec, ...]:
-    """Return the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
+    """Return the agents that ``agents`` lists, robots first, as in states and recordings, otherwise in the given order.
 
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
             URDF, a ``robot.toml`` or its folder for a robot, an .npz for a person; or its kind and one of these,
-            ``robot:../fetch.urdf``, ``human:male_1``; or a `Robot`. Behind a person, ``+`` and a motion file is how they walk.
+            ``robot:../fetch.urdf``, ``human:male_1``; or a `Robot`. A ``+`` and a file after a person set the gait.
         robot: Body of each ``robot``.
         human: Body of each ``human``.
 
@@ -79,7 +79,7 @@ def make_roster(
 
 
 def with_body(human: str | None, body: str) -> str:
-    """Return the person that is asked for.
+    """Return the name of a person with their body filled in.
 
     If only a motion is named (``+walk.npz``), the person has the episode's own body, else the default one.
     """
@@ -125,7 +125,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Return whether a name that is no kind of agent means a person.
+    """Return whether a name that is not the kind of an agent names a person.
 
     People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
     """
@@ -151,8 +151,8 @@ def sample_places(
 ) -> Array:
     """Sample starts of agents, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
 
-    A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of furniture.
-    ``taken`` are places that are already given, by number.
+    A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of
+    furniture. ``taken`` holds the places that agents already have, by number.
 
     Raises:
         SceneError: There is no room.

@@ -1,4 +1,4 @@
-"""Sitting down, sitting and getting up of people under control: motion of a `sim_kinematic.agents.person.Person` on a seat."""
+"""Motions of a `sim_kinematic.agents.person.Person` who sits down on a seat, sits there and gets up."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
 
 
 def show_seated(person: Person, place: SeatPlace, at: Array, share: float) -> None:
-    """Put a person at a place ``(x, z, heading)`` [3], in a posture between standing (0) and sitting (1)."""
+    """Pose a person at a place ``(x, z, heading)`` [3], between standing (share 0) and sitting (1)."""
     gait = HumanState.zeros(1)
     gait.xz[0], gait.heading[0] = at[:2], at[2]
     person.base = person.root_at(gait)

@@ -1,7 +1,7 @@
-"""Skills of a task's agents: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+"""Skills of a task's agents: oracle skills of robots and people (paper section 4.2; spec/habitat.md 2.3, 2.4).
 
-A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
-pre-conditions are checked; an infeasible one is a no-op that is reported.
+A skill is a generator: each ``next`` is one step of 1/30 s, and the return value is its result. Its preconditions are
+checked before it starts; an infeasible skill does nothing and is reported.
 """
 
 from __future__ import annotations
@@ -30,22 +30,24 @@ SKILLS = (
     "turn_right",
     "control",
 )
-"""All skills; recordings number them in this order."""
+"""Names of all skills, in the order in which recordings number them."""
 PRIMITIVES = {
     "move_forward": (1.0, 0.0, 4),
     "move_backward": (-1.0, 0.0, 4),
     "turn_left": (0.0, 1.0, 2),
     "turn_right": (0.0, -1.0, 2),
 }
-"""Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
+"""Command and number of steps of each primitive motion of robots: 0.333 m and 9.55 degrees as in Habitatat our speed
+limits."""
 CONTROL = "control"
-"""Skill of one step of a robot's lower layer: base, arm and hand by `Action.command`."""
+"""Skill of one low-level step of a robot: its base, arm and hand follow `Action.command`."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with doors and drawers that open; their target is the number of a joint."""
 SIT = "sit"
 """Skill of a person who is driven from outside: walk to the nearest seat and sit there until another command."""
 SEARCH = "nav_to_place"
-"""Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
+"""Skill of agents that only know the objects that they have seen; its target is the number of a surface
+(`Scene.receptacles`)."""
 ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
 """Skills in the order in which recordings of homes with doors and drawers, and of people driven from outside, number them."""
 CHOICE_WAIT_STEPS = 5
@@ -86,7 +88,7 @@ REASONS = {
 
 
 def sentence(reason: str) -> str:
-    """Return the sentence for a recorded reason; an unknown one is repeated as it is."""
+    """Return the sentence for a recorded reason; an unknown reason is returned unchanged."""
     return REASONS.get(reason, f"It was not possible ({reason}).")
 
 
@@ -95,34 +97,35 @@ class Action(NamedTuple):
 
     skill: str
     target: int = -1
-    """Index of the object (or of the object whose goal it is) of the skills that have one; of
-    `OPENING_SKILLS`, of the joint."""
+    """Index of the object that the skill handles or whose goal it leads to; for `OPENING_SKILLS`, index of the
+    joint."""
     steps: int = 30
     """Duration of ``wait`` [steps]."""
     command: Any = ()
-    """Command of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
-    person a `sim_kinematic.agents.driven.commands.PersonCommand`. Of a driven person's ``place`` the point in the world [3]
-    [m], of ``hand_over`` the robot's number."""
+    """Command of the skill, if it has one. For ``control`` of a robot: forward and left turn of the base, each arm
+    joint, and grip, -1..1 of the limits of a step. For ``control`` of a person: a
+    `sim_kinematic.agents.driven.commands.PersonCommand`. For ``place`` of a driven person: the point in the world [3]
+    [m]; for ``hand_over``: the robot's number."""
 
 
 INSIDE = "inside "
-"""Beginning of the names of places behind doors and in drawers."""
+"""Prefix of the names of places behind doors and in drawers."""
 
 
 class Destination(NamedTuple):
-    """Command (`Action.command`) of a ``wait`` of no steps that assigns another goal to its object, if the task allows it."""
+    """Command (`Action.command`) of a ``wait`` of 0 steps that gives its object another goal, if the task allows it."""
 
     place: str
     """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
     next_to: str = ""
-    """Name of the object next to which it has to be put; empty: anywhere."""
+    """Name of the object next to which the object has to be put; empty: anywhere."""
 
     def __str__(self) -> str:
         return f"{self.place} next to {self.next_to}" if self.next_to else self.place
 
     @classmethod
     def of(cls, text: str) -> Destination:
-        """Return the destination that ``str`` wrote."""
+        """Return the destination that a text written by ``str(destination)`` describes."""
         place, _, next_to = text.partition(" next to ")
         return cls(place, next_to)
 
@@ -132,22 +135,22 @@ LONGEST_MESSAGE = 500
 
 
 class Message(NamedTuple):
-    """Command (`Action.command`) of a ``wait`` of no steps that sends a message to other agents."""
+    """Command (`Action.command`) of a ``wait`` of 0 steps that sends a message to other agents."""
 
     text: str
     to: str = ""
-    """Name of the agent that receives it; empty: all agents."""
+    """Name of the agent that receives the message; empty: all agents."""
 
     @property
     def action(self) -> Action:
-        """Choice by which an agent sends this message; it takes no time."""
+        """Action by which an agent sends this message, which takes no time."""
         return Action("wait", -1, 0, self)
 
     def check(self, names: Sequence[str]) -> None:
-        """Check that a message can be said in a home with agents of these names.
+        """Check that a message can be sent in a home with agents of these names.
 
         Raises:
-            InputError: it is empty, too long or no text, or there is no such agent.
+            InputError: the message is empty, too long or not a text, or there is no such agent.
         """
         if not isinstance(self.text, str) or not 0 < len(self.text) <= LONGEST_MESSAGE:
             raise InputError(
@@ -172,10 +175,10 @@ Skill = Generator[None, None, SkillResult]
 
 @lru_cache(maxsize=64)
 def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) -> tuple[Action, ...]:
-    """Return all actions that an agent can choose among, in the order in which learned policies number them.
+    """Return all actions that an agent can choose from, in the order in which learned policies number them.
 
-    They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
-    actions, or 4 K + 1 for a person. `OPENING_SKILLS` with each of the joints ``parts`` follow, which a task names.
+    The actions are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4
+    K + 5 actions, or 4 K + 1 for a person. The `OPENING_SKILLS` with each of the joints ``parts`` of the task follow.
     """
     with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
     primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
@@ -184,14 +187,14 @@ def choices(objects: int, *, robot: bool = True, parts: tuple[int, ...] = ()) ->
 
 
 class LearnedSkill(Protocol):
-    """A skill that a network carries out instead of the scripted one, which knows the whole state."""
+    """Skill that a network carries out instead of the scripted skill, which knows the whole state."""
 
     def infeasible(self, actor: Any, action: Action) -> str:
-        """Return the reason why the skill cannot start now, beyond what `Objects.why_not` says; empty if it can."""
+        """Return the reason, besides those of `Objects.why_not`, why the skill cannot start now; empty if it can."""
         ...
 
     def start(self, actor: Any, action: Action) -> Skill:
-        """Begin an action; the skill that is returned advances by one step at each iteration."""
+        """Start an action; the returned skill advances by one step at each iteration."""
         ...
 
 
@@ -201,18 +204,19 @@ class Objects:
 
     names: tuple[str, ...]
     goals: NDArray[np.float64]
-    """Goals of the objects, shape [K, 3] [m]."""
+    """Goal positions of the objects in the world, shape [K, 3] [m]."""
     state: WorldState
     """State of the objects: ``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1,
     J]."""
     joints: tuple[str, ...] = ()
     """Names of the home's doors and drawers."""
     scene: Scene | None = None
-    """Home with doors and drawers where they last stood still."""
+    """Home with its doors and drawers where they last stood still."""
     openables: Any = None
     """Doors and drawers of the home, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None if nothing opens."""
     sight: Any = None
-    """Memories of what each agent has seen, `sim_kinematic.sensing.sight.Sight`; None if all know everything."""
+    """Memory of everything that each agent has seen, `sim_kinematic.sensing.sight.Sight`; None if all agents know
+    everything."""
 
     def destination(self, agent: int, action: Action) -> NDArray[np.float64]:
         """Return the world point [3] to which ``nav_to_object``, ``nav_to_goal`` or `SEARCH` leads, as the agent knows it."""
@@ -227,15 +231,15 @@ class Objects:
         self.poses: NDArray[np.float64] = self.state.object_pose[0]
         """Pose (pose7) of each object in the world [K, 7]; a view."""
         self.held_by: NDArray[np.int64] = self.state.held_by[0]
-        """Agent that holds each, [K]; a view."""
+        """Number of the agent that holds each object, [K]; a view."""
 
     def held(self, agent: int) -> int:
-        """Return the index of what an agent holds, -1 = nothing."""
+        """Return the index of the object that an agent holds, or -1."""
         holders = self.held_by.tolist()
         return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
-        """Return the reason why an agent cannot begin an action, by the rules for people and robots alike; empty if it can.
+        """Return the reason why an agent cannot start an action, by rules shared by all agents; empty if it can.
 
         Raises:
             InputError: There is no such skill, object, joint or surface.

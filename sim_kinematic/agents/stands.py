@@ -22,32 +22,32 @@ from sim_kinematic.motion.step import least_clearance
 
 @dataclass(frozen=True)
 class StandSpec:
-    """Places that are tried as stands, and the room that agents need there."""
+    """Constants for the places to stand that are tried, and for the room that agents need there."""
 
     bearings: int = 24
     """Number of directions from which a point is approached."""
     person_distances_m: tuple[float, ...] = tuple(0.25 + 0.05 * k for k in range(13))
-    """Distances from which a person reaches for a point."""
+    """Distances from which a person reaches for a point [m]."""
     hand_side_rad: float = 0.25
     """Angle by which the point is to the side of the hand that takes it [rad]."""
     sway_m: float = 0.015
-    """Difference of distance [m] at which a point must be reachable as well, nearer and farther, for a person's
-    distance to count."""
+    """Difference of distance at which a point must be reachable as well, nearer and farther, for a person's distance to
+    count [m]."""
     crowded_m: float = 100.0
     """Additional length of a path that is preferred to a stand near another agent [m]."""
     room_m: float = 0.02
-    """Free space around a robot's base where it stands and turns."""
+    """Free space that a robot's base needs around it where it stands and turns [m]."""
     approach_m: float = 0.3
     """Length of the straight approach to a stand on which the base must fit as well [m]."""
     level_m: float = 0.01
-    """Difference in height below which floors are one [m]."""
+    """Difference in height below which two places are on the same floor [m]."""
 
 
 STANDS = StandSpec()
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0) -> Array:
-    """Return stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island."""
+    """Return stands ``(x, z, heading)`` [N, 3] on an island from which ``hand`` reaches a world point [3] [m]."""
     point = np.asarray(point, np.float64)
     side = STANDS.hand_side_rad if hand == "right" else -STANDS.hand_side_rad
     distances = np.array(STANDS.person_distances_m)
@@ -88,7 +88,7 @@ def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> boo
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
     """Return poses ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m].
 
-    They lie on one island of the floor, where the base can turn all the way around
+    All poses are on one island of the floor, and the base has room there for a full turn
     (`sim_kinematic.agents.robots.hand_reach`).
     """
     point = np.asarray(point, np.float64)
@@ -100,10 +100,10 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
 
 
 def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
-    """Return poses as `robot_stands`, for handles: the base need not be able to turn around there.
+    """Return poses ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a handle at a world point [3] [m].
 
-    The hand may also reach to the side. The base fits at the pose and on the last `STANDS.approach_m` straight before or
-    behind it.
+    Unlike for `robot_stands`, the base need not have room to turn around there, and the hand may also reach to the
+    side. The base fits at the pose and on the last `STANDS.approach_m` straight before or behind it.
     """
     point = np.asarray(point, np.float64)
     height, found = float(point[1] - free.height_at(point[[0, 2]])), list[Array]()
@@ -156,7 +156,7 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
 
 
 def island_of(free: FreeSpace, xz: Array) -> int:
-    """Return the island on which an agent at a floor point [2] is; the largest for one that is a little off the floor."""
+    """Return the island of the floor on which a point [2] lies; the largest one for points a little off the floor."""
     return max(int(free.island(xz)), 0)
 
 

@@ -1,7 +1,7 @@
 """Scripted person of social navigation, who walks shortest paths to random points of the home.
 
 The script follows the paper (section 4.1) and habitat-lab (spec/habitat.md 1.4). The person does not react to the
-robot, so the whole track follows from the seed, or from goals that are given.
+robot, so the seed, or the given goals, determine the whole track.
 """
 
 from __future__ import annotations
@@ -29,20 +29,22 @@ class WaypointSpec:
     """Constants of walks along waypoints."""
 
     most_steps: int = 20_000
-    """Number of steps that no walk to one goal takes: eleven minutes."""
+    """Largest number of steps of a walk to one goal, eleven minutes."""
     arc_step_m: float = 0.08
     """Distance below which waypoints belong to one rounded corner [m] (5 cm apart at a radius of 0.25 m)."""
     arc_turn_max: float = 1.75
     """Angle above which corners are not rounded [rad]: their tangents meet far away."""
     min_walk_m: float = 1.5
-    """Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
+    """Distance below which a new goal is sampled again, because a robot does not learn to follow a person who stands
+    still [m]."""
     aside_step_m: float = 0.02
     """Length of the steps in which a waypoint is moved away from obstacles [m]."""
     ahead_m: float = 0.2
-    """Distance of sampled goals from obstacles beyond `WalkerSpec.clearance_m` [m]: people may run at a wall there,
-    hands first."""
+    """Distance of sampled goals from obstacles beyond `WalkerSpec.clearance_m`, because people may arrive there at full
+    speed [m]."""
     apart_m: float = 0.15
-    """Distance below which moving would bring waypoints too near together [m]: short legs mean turning on the spot."""
+    """Least distance between waypoints that are moved away from obstacles [m]: with short legs, people would turn on
+    the spot."""
 
 
 WAYPOINTS = WaypointSpec()
@@ -50,7 +52,7 @@ WAYPOINTS = WaypointSpec()
 
 @dataclass
 class WaypointHuman:
-    """Person who walks along waypoints. ``goal`` and ``leg``, the current goal and waypoint, are its whole state."""
+    """Person who walks along waypoints, whose whole state is the current goal and waypoint (``goal`` and ``leg``)."""
 
     free: FreeSpace
     seed: int
@@ -62,14 +64,14 @@ class WaypointHuman:
     leg: int = 0
     """Index of the waypoint within the path to the goal."""
     goals: list[NDArray[np.float64]] = field(default_factory=list)
-    """Goals so far, ``(x, z)`` each."""
+    """Goals so far, each ``(x, z)`` [m]."""
     _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     _strider: Strider | None = None
     _track: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the waypoint ``(x, z)`` to walk to from ``position``; sample the next goal when the last one is reached."""
+        """Return the waypoint ``(x, z)`` to walk to from ``position``; sample a new goal when the last is reached."""
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]
@@ -95,7 +97,10 @@ class WaypointHuman:
         return self._strider
 
     def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next goal [2] of a person at ``position`` [2]: given, or sampled at least `WAYPOINTS.min_walk_m` away."""
+        """Return the next goal [2] of a person at ``position`` [2]: a given one, or else a sampled one.
+
+        A sampled goal is at least `WAYPOINTS.min_walk_m` away.
+        """
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
@@ -122,10 +127,10 @@ class WaypointHuman:
 def walking_path(
     free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
 ) -> NDArray[np.float64]:
-    """Return waypoints [K, 2] of a person from ``start`` to ``goal``.
+    """Return the waypoints [K, 2] [m] of a person from ``start`` to ``goal``.
 
-    They are those of the shortest path with sharp corners, each moved ``spec.clearance_m`` away from walls and
-    furniture as far as there is room. K = 0: there is no path.
+    The waypoints are those of the shortest path with sharp corners, each moved up to ``spec.clearance_m`` away from
+    walls and furniture where there is room. If K is 0, there is no path.
     """
     path = free.path(start, goal)
     return with_room(free, sharp_corners(free, path), spec.clearance_m) if len(path) else path
@@ -134,8 +139,8 @@ def walking_path(
 def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
     """Return the path [K, 2] with its corners moved away from obstacles, up to ``clearance_m``; its ends stay.
 
-    A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
-    as the straight ways to both its neighbours stay free.
+    A shortest path touches obstacles only at its corners, so moving them gives room to the legs between them as well. A
+    corner moves only as far as the straight lines to both its neighbours stay free.
     """
     roomy = path.copy()
     for k in range(1, len(path) - 1):
@@ -152,7 +157,7 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
 
 
 def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """Return a point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
+    """Return a point [2] moved away from obstacles until it has ``clearance_m`` [m], or until there is no more room."""
     ends = float(point[0]), float(point[1]), float(clearance_m), WAYPOINTS.aside_step_m
     return np.array(free.entries(_aside, free.sdf, free.origin, free.cell_m, *ends))
 
@@ -177,7 +182,8 @@ def _aside(sdf, origin, cell, x, z, clearance, step):
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the path [K, 2] with each rounded corner replaced by the intersection of its tangents, if that path is free.
 
-    A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
+    A shortest path follows an inflated corner in many short legs, and a person who turns on the spot before each leg
+    would stutter.
     """
     short = np.hypot(*np.diff(path, axis=0).T) < WAYPOINTS.arc_step_m
     kept = [path[0]]
@@ -214,7 +220,7 @@ def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bo
 
 
 class HumanPlan(NamedTuple):
-    """Plan of the scripted person, which does not depend on the robot."""
+    """Plan of the scripted person, who does not react to the robot."""
 
     xz: NDArray[np.float64]
     """Positions of the person after each step, shape [steps, 2] [m]."""
@@ -231,7 +237,7 @@ def human_plan(
     steps: int,
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:
-    """Return where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
+    """Return the scripted person's positions in each of ``steps`` steps, and their goals (first those ``given``)."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)

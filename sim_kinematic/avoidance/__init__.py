@@ -1,1 +1,1 @@
-"""Mutual avoidance of agents: roll-outs, velocities, routes, yielding."""
+"""Mutual avoidance of agents: roll-outs, velocities, routes and yielding."""

@@ -1,8 +1,8 @@
-"""Maneuvers of a base in narrow places: back and forth, and around, if no single command makes progress.
+"""Maneuvers of a base in narrow places, back and forth and around, for places where no single command makes progress.
 
-A long robot gets stuck where the shortest path of a disc turns sharply: it would have to back up first. A search over poses
-(hybrid A*; Dolgov et al., 2008) over the robot's own commands finds how. It runs only when a base is stuck: it takes
-milliseconds, the usual command microseconds.
+A long robot gets stuck where the shortest path of a disc turns sharply: it would have to back up first. A search over
+poses (hybrid A*; Dolgov et al., 2008) over the robot's own commands finds the commands. It runs only when a base is
+stuck, because it takes milliseconds where the usual command takes microseconds.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import are_clear, drive_base, least_clearance
 
 HEADINGS = 30
-"""Number of cells into which headings are divided; all of them make a full turn."""
+"""Number of cells into which a full turn of headings is divided."""
 GAIN_M = 1.5
-"""Reduction of the path at which a maneuver ends [m]."""
+"""Reduction of the remaining path at which a maneuver ends [m]."""
 MOVE_M, SLIDES_M, AGENT_GAP_M = 0.1, 0.02, 0.05
-"""Length of a move, also the side of a cell in which two poses count as one; length below which a first move along a
-wall does not count; least gap to other agents [m]."""
+"""Length of a move, which is also the side of a cell in which two poses count as one; length below which a first move
+along a wall does not count; and least gap to other agents [m]."""
 TURN_COST_M, BACKWARDS_COST, GREED = 0.06, 1.5, 1.5
-"""Cost of a turn by one cell [m], cost of a metre backwards in metres, and weight of the remaining path, of which a higher one
-finds longer maneuvers sooner."""
+"""Cost of a turn by one cell [m]; cost of a metre backwards [m]; and weight of the remaining path, where a larger
+weight finds longer maneuvers sooner."""
 
 
 @kernel(error_model="numpy")
@@ -232,8 +232,8 @@ def plan_maneuver(
 ) -> NDArray[np.float64]:
     """Return commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
 
-    They lead past the next `GAIN_M` of path, or to within ``within_m`` of the goal and, there, to a heading ``bearing`` [rad].
-    Empty where no maneuver does.
+    The commands lead past the next `GAIN_M` of the path, or to within ``within_m`` of the goal and there to the heading
+    ``bearing`` [rad]. The result is empty if no maneuver does so.
 
     Args:
         free: The floor.
@@ -242,8 +242,8 @@ def plan_maneuver(
         heading: Heading of the base [rad].
         goal: Floor point [2].
         discs: Discs ``(x, z, radius)`` [M, 3] of other agents, which the robot's hull keeps clear of.
-        within_m: Distance at which it is at the goal.
-        bearing: Heading wanted at the goal.
+        within_m: Distance at which the base is at the goal [m].
+        bearing: Desired heading at the goal [rad].
     """
     grid = FloorRoutes.of(free)
     left = _left_to(grid, *goal.tolist())
@@ -328,6 +328,6 @@ def _left_to(grid: FloorRoutes, x: float, z: float) -> NDArray[np.float64]:
 
 
 def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:
-    """Return the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
+    """Return the heading [rad] with which a robot at a point [2] sees another point at a bearing to its left [rad]."""
     dx, dz = point - xz
     return float(wrap_angle(math.atan2(-dz, dx) - reach))

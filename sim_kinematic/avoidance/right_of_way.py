@@ -1,13 +1,14 @@
-"""Right of way: agents that block each other agree on who steps aside, and where to.
+"""Right of way: agents that block each other agree on which of them steps aside, and where to.
 
-Every agent announces its path. In order of rank, each asks those that stand on the next metres of its path to step aside to
-the nearest place off it; once it has been held up, also those that are going somewhere themselves. An agent that was asked
-inherits the rank of the asker, so a row of people in a corridor backs out together (priority inheritance: Okumura et al.,
-2022, PIBT). Where there is no such place, the roles are exchanged.
+Every agent announces its path. In order of rank, each agent asks others that stand on the next metres of its path to
+step aside to the nearest place off it; once it has been held up, it also asks agents that move to goals of their own.
+An agent that was asked inherits the rank of the asker, so a row of people in a corridor backs out together (priority
+inheritance: Okumura et al., 2022, PIBT). Where there is no such place, the roles are exchanged.
 
-Where two agents stay near each other and neither makes progress (`sim_kinematic.avoidance.stand_offs`), one of them is sent to
-a refuge, off the whole remaining path of the other, until the other has got past. The next time it is the other's turn. An
-agent that is held up by somebody driven from outside goes to a refuge until there is a path around them.
+Where two agents stay near each other and neither makes progress (`sim_kinematic.avoidance.stand_offs`), one of them is
+sent to a refuge, off the whole remaining path of the other, until the other has got past. The next time, the other
+agent is sent. An agent that is held up by a person driven from outside goes to a refuge until there is a path around
+them.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class Walker(Body, Protocol):
     yields: bool
     """True if the agent can step aside now."""
     aside: NDArray[np.float64] | None
-    """Remaining floor points [N, 2] [m] of the path aside; empty if the agent has arrived there, None if nobody has asked it to
-    step aside."""
+    """Remaining floor points [N, 2] [m] of the path aside; empty if the agent has arrived there, None if no agent has
+    asked it to step aside."""
 
     @property
     def path(self) -> NDArray[np.floating]:
@@ -50,10 +51,10 @@ class Walker(Body, Protocol):
         ...
 
     turned_away: bool
-    """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
-    stand."""
+    """True if an agent driven from outside blocks the path, so that the walker has to choose a new action and a new
+    place to stand."""
     hindered_by: frozenset[int]
-    """Agents with which the agent would have collided in its last step, had it not stopped."""
+    """Agents with which the agent would have collided in its last step if it had not stopped."""
 
 
 @dataclass
@@ -70,7 +71,8 @@ class _Request:
     stayed: int = 0
     """Number of steps since it got there."""
     chose_at: tuple[float, float, float] | None = None
-    """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
+    """Place ``(x, z, heading)`` of the other agent, which is driven from outside, when the agent last made a new
+    choice."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     """Position [2] of the other agent when it was last observed."""
 
@@ -93,17 +95,17 @@ class RightOfWay:
         *,
         asks: bool = True,
     ) -> None:
-        """Begin without any stand-off.
+        """Create the rules for a group of agents, none of which block each other yet.
 
-        ``errand`` returns the progress of an agent's task, from which stand-offs are found and ended; if ``asks`` is False,
-        nothing else is done.
+        ``errand`` returns the progress of an agent's task, by which stand-offs are detected and ended. If ``asks`` is
+        False, agents step aside only in stand-offs.
         """
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
         numbers = [walker.number for walker in walkers]
         self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
-        """Distance from an agent's path within which another is in its way [m]."""
+        """Distance from an agent's path within which another agent blocks it [m]."""
         self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
         self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
@@ -117,7 +119,7 @@ class RightOfWay:
         self._free, self._routes = free, FloorRoutes.of(free)
 
     def update(self, carrying: Sequence[int] = ()) -> None:
-        """Set ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
+        """Set ``aside`` of every agent, given the numbers of the agents that hold something (``carrying``)."""
         starts: dict[int, list[float] | None] = {}
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
@@ -198,7 +200,7 @@ class RightOfWay:
         return chain
 
     def path(self, walker: Walker) -> NDArray[np.floating]:
-        """Return the path that an agent follows now, [N, 2]: aside if it was asked, else its own."""
+        """Return the path that an agent follows now, [N, 2] [m]: its path aside if it has one, else its own."""
         if walker.number in self._requests:
             route = self._requests[walker.number].route
             return np.vstack([walker.xz[None], route]) if len(route) else NO_PATH
@@ -483,7 +485,7 @@ class RightOfWay:
 
 
 def aside_distance_m(a: Body, b: Body) -> float:
-    """Return the distance between an agent and another's path at which it is aside [m]."""
+    """Return the distance between an agent and another agent's path from which on it counts as aside [m]."""
     return AVOIDANCE.aside_m[a.is_robot + b.is_robot] + _size_beyond_default(a) + _size_beyond_default(b)
 
 

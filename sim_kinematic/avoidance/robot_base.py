@@ -16,26 +16,26 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 
 CARRIED_M = 0.11
-"""Radius of a ball that represents what a robot carries [m]: of the objects in `h3-homes` only boxes of books have
-corners farther from their middle, 14 cm."""
+"""Radius of a ball that represents the object that a robot carries [m]. Of the objects in `h3-homes`, only boxes of
+books have corners farther from their middle (14 cm)."""
 _RULES = BaseSpec()
 """Default rules, from which the rules of a task may differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBase(BaseSpec):
-    """Base of a robot other than ``quad_arm``, with a hull of its own."""
+    """Base of a robot other than ``quad_arm``, with its own hull."""
 
     hull_offsets_m: tuple[float, ...]
-    """Discs of the base's radius along x that cover the whole robot at rest."""
+    """Positions of discs of the base's radius along the x axis that cover the whole robot at rest [m]."""
 
 
 def base_of(robot: Humanoid | Robot, rules: BaseSpec) -> BaseSpec:
-    """Return a task's rules for bases with the discs, limits and hull of one robot; for a person, the rules themselves.
+    """Return a task's rules for bases with the discs, limits and hull of one robot; the rules themselves for a person.
 
-    The discs of `HOME_BASE` stand for the robot's own discs, those of `BaseSpec` for its profile ``habitat``, where it has one.
-    What the rules set to another value than the default stays: they ask for something special. For ``quad_arm`` the result
-    is ``rules`` itself.
+    The discs of `HOME_BASE` stand for the robot's own discs, those of `BaseSpec` for its profile ``habitat``, where it
+    has one. Fields that the rules set to another value than the default are not changed. For ``quad_arm`` the result is
+    ``rules`` itself.
     """
     if isinstance(robot, Humanoid):
         return rules
@@ -68,16 +68,16 @@ def footprint_of(base: BaseSpec) -> Footprint:
 
 
 def wider_by(base: BaseSpec) -> float:
-    """Return by how much a base's discs are wider than those of ``quad_arm`` [m]."""
+    """Return the difference in width between a base's discs and those of ``quad_arm`` [m]."""
     return base.disc_radius_m - _RULES.disc_radius_m
 
 
 def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
     """Return a base with one more disc, which covers an object that the folded arm carries.
 
-    The object is taken as a ball of `CARRIED_M`. ``base`` itself is returned if its discs cover the object already, or
-    if it is not the base that covers the whole robot, as in the profile ``habitat``. The hand of ``quad_arm`` is 5 cm
-    behind the front of its base, so that objects it carried went up to 11 cm into walls.
+    The object is represented by a ball of the radius `CARRIED_M`. ``base`` itself is returned if its discs cover the
+    object already, or if it is not the base that covers the whole robot, as in the profile ``habitat``. The hand of
+    ``quad_arm`` is 5 cm behind the front of its base, so that objects it carried went up to 11 cm into walls.
     """
     if base.disc_offsets_m != tuple(robot.base_discs.tolist()) or robot.hand_link < 0:
         return base

@@ -1,6 +1,6 @@
 """Simulated trials of a robot's next commands in the presence of a walking person.
 
-The experts of social navigation choose among them. The motion is that of the simulator itself.
+The experts of social navigation choose among these trials. The motion is that of the simulator itself.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Rollouts(NamedTuple):
     heading: NDArray[np.float64]
     """Headings at the end [N] [rad]."""
     gap_m: NDArray[np.float64]
-    """Least gap to the person in the whole trial [N] [m], in which later steps count as wider."""
+    """Least gap to the person during the trial [N] [m]; gaps in later steps count as wider."""
 
 
 def roll_out(
@@ -48,7 +48,7 @@ def roll_out(
     `sim_kinematic.motion.step.drive_base`. The simulation lasts as long as the person walks along ``person`` [H, 2],
     one place per step, or ``look_steps`` steps without a person.
 
-    Commands that begin alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
+    Commands that start alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
     expert steps per CPU second).
     """
     ends = np.empty((len(commands), 4))
@@ -149,7 +149,7 @@ def _roll_out(
 def straight_walk(
     free: FreeSpace, xz: NDArray[np.float64], velocity: NDArray[np.float64], steps: int
 ) -> NDArray[np.float64]:
-    """Return the places [steps, 2] of a person from ``xz`` [2] on at a velocity [2] [m/s], up to a wall."""
+    """Return the positions [steps, 2] [m] of a person walking from ``xz`` [2] at a velocity [2] [m/s] up to a wall."""
     walk = xz + velocity * (np.arange(1, steps + 1)[:, None] * STEP_S)
     if velocity.any():
         blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - AVOIDANCE.wall_m)

@@ -97,7 +97,7 @@ class FloorRoutes:
 
     free: FreeSpace
     origin: NDArray[np.float64]
-    """Lower corner (x, z) of cell [0, 0] [m]."""
+    """Lower corner ``(x, z)`` of cell [0, 0] [m]."""
     centres: NDArray[np.float64]
     """Centre of each cell, [nx, nz, 2] [m]."""
     room: NDArray[np.float64]
@@ -106,7 +106,7 @@ class FloorRoutes:
     @staticmethod
     @lru_cache(maxsize=16)
     def of(free: FreeSpace) -> FloorRoutes:
-        """Return the grid of a home, made once."""
+        """Return the grid of a home, which is computed once."""
         cell = AVOIDANCE.cell_m
         count = np.ceil(np.array(free.sdf.shape) * free.cell_m / cell).astype(int)
         axes = [free.origin[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
@@ -118,8 +118,8 @@ class FloorRoutes:
     ) -> DistanceMap:
         """Return distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
 
-        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start. A map that is asked only
-        for the path to ``goal`` [2], or for cells up to a distance, is made no larger than that takes.
+        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start. With a ``goal``
+        [2] or a distance ``farthest_m`` [m], the map is computed only as far as these need.
         """
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
@@ -160,7 +160,7 @@ class DistanceMap:
         return self._path(int((i + a) * self.distance.shape[1] + j + b), goal)
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
-        """Return whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
+        """Return whether a path leads to each of some floor points [N, 2], as bool [N]."""
         # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 
@@ -168,7 +168,7 @@ class DistanceMap:
         return KDTree(open_cells).query(places)[0] <= AVOIDANCE.near_m
 
     def path_to_nearest(self, fits: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-        """Return the path, as `path_to`, to the nearest of the cells [nx, nz] that fit."""
+        """Return the path [N, 2] [m] to the nearest of the cells [nx, nz] that fit; None if there is none."""
         lengths = np.where(fits, self.distance, np.inf)
         # the nearest along the floor, not through walls
         best = int(lengths.argmin())
@@ -193,7 +193,7 @@ class DistanceMap:
 
 
 def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:
-    """Return distances [...] [m] of points [..., 2] to the line through floor points [N, 2]; infinite for an empty path."""
+    """Return distances [...] [m] of points [..., 2] to the line through points [N, 2]; infinite if it is empty."""
     points = np.asarray(points, np.float64)
     if len(path) == 0:
         return np.full(points.shape[:-1], np.inf)
@@ -243,7 +243,8 @@ def _distance_to_part(x, z, path, begin, end):
 def is_ahead(points, path, begin, end, within, x, z):
     """Return whether one of the points [P, 2] is near a path [N, 2] between two of its lengths [m], but not beside (x, z).
 
-    It is near ``within`` a distance [m], and beside (x, z) if it is nearer to that than to the path.
+    A point is near the path if it is ``within`` a distance [m] of it, and beside (x, z) if it is nearer to (x, z) than
+    to the path.
     """
     for p in range(len(points)):
         gap = _distance_to_part(points[p, 0], points[p, 1], path, begin, end)
@@ -254,9 +255,10 @@ def is_ahead(points, path, begin, end, within, x, z):
 
 @kernel(error_model="numpy")
 def distance_of_paths(x, z, mine, length, other, other_length, apart):
-    """Return the distance between the beginnings, of two lengths [m], of paths [N, 2] and [M, 2].
+    """Return the distance [m] between the first parts, of given lengths [m], of two paths [N, 2] and [M, 2].
 
-    The first path, which (x, z) belongs to, counts by points on its legs that are at most ``apart`` [m] from each other.
+    The first path, that of an agent at (x, z), is sampled by points on its legs that are at most ``apart`` [m] from
+    each other.
     """
     least, done = _distance_to_part(x, z, other, 0.0, other_length), 0.0
     for k in range(len(mine) - 1):
@@ -275,7 +277,7 @@ def distance_of_paths(x, z, mine, length, other, other_length, apart):
 
 
 def first_of_path(path: NDArray, length_m: float) -> NDArray[np.float64]:
-    """Return the beginning of a path [N, 2], of a length [m]."""
+    """Return the first part of a path [N, 2] up to a length [m]."""
     k, share = _leg_at(np.ascontiguousarray(path, np.float64), length_m) if len(path) > 1 else (-1, 0.0)
     return path if k < 0 else np.vstack([path[: k + 1], path[k] + share * (path[k + 1] - path[k])])
 

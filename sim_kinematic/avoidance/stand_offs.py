@@ -24,7 +24,7 @@ class TaskProgress(NamedTuple):
     completed: int
     """Number of tasks that the agent has completed."""
     obeys: bool = True
-    """True if the agent can be sent elsewhere, because nobody drives it from outside."""
+    """True if the agent can be sent elsewhere because it is not driven from outside."""
 
 
 @dataclass
@@ -39,11 +39,11 @@ class Encounter:
     """True if one of the two has waited for the other, which is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
-    """Activity of each agent, and its distance to go when that began or they met."""
+    """Activity of each agent, and its remaining distance [m] when the activity began or the agents met."""
 
 
 class StandOffs:
-    """Count, for every pair of agents, the steps for which neither has made progress."""
+    """Counters, for every pair of agents, of the steps for which neither has made progress."""
 
     def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], TaskProgress]) -> None:
         self._walkers = dict(zip(numbers, walkers, strict=True))
@@ -55,9 +55,9 @@ class StandOffs:
         return self._encounters[min(a, b), max(a, b)]
 
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
-        """Count one step and return the pairs that have made no progress for long although one of them has something to do.
+        """Count one step, and return pairs of agents without progress for long, of which one has something to do.
 
-        ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
+        ``held_off`` returns whether an agent is blocked by another agent that is driven from outside.
         """
         stuck = []
         for pair, encounter in self._encounters.items():

@@ -1,7 +1,7 @@
-"""Velocity of a robot's base that keeps clear of people and other robots.
+"""Velocity of a robot's base for keeping clear of people and other robots.
 
-The robot compares possible next commands by short simulations, as in the dynamic window approach (Fox, Burgard and Thrun,
-1997). The other agents are assumed to keep their velocity.
+The robot compares possible next commands by short simulations, as in the dynamic window approach (Fox, Burgard and
+Thrun, 1997). The other agents are assumed to keep their velocity.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.
 
 @kernel(error_model="numpy")
 def least_gap(x, z, heading, other_x, other_z, hull, reach):
-    """Return the least distance [m] between the discs of a hull and a floor point, less ``reach``, the sum of both radii."""
+    """Return the least distance [m] between the discs of a hull and a floor point, minus the radii ``reach``."""
     return gap_along(x, z, math.cos(heading), math.sin(heading), other_x, other_z, hull, reach)
 
 
 @kernel(error_model="numpy", inline="always")
 def gap_along(x, z, c, s, other_x, other_z, hull, reach):
-    """Return the same as `least_gap` of a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the result of `least_gap` for a heading whose cosine ``c`` and sine ``s`` are known."""
     least = math.inf
     for offset in hull:
         dx = x + c * offset - other_x
@@ -46,10 +46,11 @@ def gap_along(x, z, c, s, other_x, other_z, hull, reach):
 
 @kernel(error_model="numpy")
 def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
-    """Roll out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
+    """Roll out a command that is held for at most ``length`` [m] and ``arc`` [rad].
 
-    The base stays where it would touch an obstacle. The least gap to each other agent goes to ``gaps`` [N]; later gaps count
-    as wider by a doubt [m/s]. The trial ends early where an agent lacks ``enough`` of its margin already.
+    Returns ``(x, z, heading, most lacking)``: the final pose, and the largest part of a margin that is lacking [m]. The
+    base stops where it would touch an obstacle. The least gap to each other agent is written to ``gaps`` [N]; later
+    gaps count as wider by a rate [m/s]. The trial ends early when an agent already lacks ``enough`` of its margin.
     """
     (x, z, heading), (offsets, disc_radius), (steps, stride, doubt, dt) = pose, base, rules
     gaps[:] = math.inf
@@ -80,10 +81,10 @@ def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base,
 def choose_command(
     sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, gaps
 ):
-    """Return the number of the candidate that `keep_clear` chooses, -1: the command that is ``wanted``.
+    """Return the number of the candidate that `keep_clear` chooses, or -1 for the command that is ``wanted``.
 
-    Others [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``; ``before`` is NaN where it does
-    not count, otherwise the last candidate. ``gaps`` [N] is room to work in.
+    The rows of ``others`` [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``. ``before``
+    is the last candidate, or NaN if it does not count. ``gaps`` [N] is a work array.
     """
     (max_speed, max_turn), (still_margin, gap_weight, heading_weight, turn_weight, change_weight) = limits, costs
     # a robot that stands too near to somebody already could not leave if it had to keep more than it has
@@ -133,7 +134,7 @@ def choose_command(
 
 
 class ObstacleDisc(NamedTuple):
-    """A disc of another agent that a robot keeps clear of."""
+    """A disc of another agent that a robot has to keep clear of."""
 
     xz: Sequence[float] | NDArray[np.floating]
     """Position of the disc [2] [m]."""
@@ -143,7 +144,7 @@ class ObstacleDisc(NamedTuple):
     """True if the agent has stood for long and is passed at ``still_margin_m``."""
     radius_m: float = AVOIDANCE.person_radius_m
     margin_m: float = AVOIDANCE.margin_m
-    """Gap to be kept between robot and disc."""
+    """Gap to be kept between the robot and the disc [m]."""
 
 
 @kernel(error_model="numpy")
@@ -161,7 +162,7 @@ def _within(wanted, before, up, down):
 def clear_step(
     sdf, origin, cell, xz, heading, contact, wanted, goal, length, others, base, target, before, eases, drives
 ):
-    """Choose the command of a robot's base in a step, and drive by it; return what is kept clear of others, and that command.
+    """Choose the command of a robot's base in a step and drive by it; return the avoiding command and the one driven.
 
     Args:
         sdf: signed distances of the floor's grid [m].
@@ -169,16 +170,16 @@ def clear_step(
         cell: size of its cells [m].
         xz: place of the base [1, 2].
         heading: its heading [1].
-        contact: whether it touches an obstacle [1]; these three are changed in place.
+        contact: whether it touches an obstacle [1]; ``xz``, ``heading`` and ``contact`` are changed in place.
         wanted: command (forward, turn: -1..1 of the limits).
-        goal: floor point [2] to which it is going.
+        goal: floor point [2] to which the base is going.
         length: distance to the goal [m].
         others: rows of `choose_command` [N, 7].
         base: `base_numbers` of the base.
         target: command that kept clear of others in the last step; NaN where it does not count.
         before: command of the last step.
-        eases: whether it goes over from ``before`` gradually, unless it has to keep clear of somebody.
-        drives: whether it drives; otherwise nothing is changed.
+        eases: whether the command changes gradually from ``before``, unless an agent has to be avoided.
+        drives: whether the base drives; otherwise nothing is changed.
     """
     keeps, (offsets, hull, limits, radius, sliding, wall, rules, costs, rates) = wanted, base
     if len(others):
@@ -227,19 +228,20 @@ def keep_clear(
     *,
     drives: bool = False,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
+    """Return the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` to keep clear of others.
 
-    That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
-    most, then the path to ``towards`` [2], then what differs little from the command ``target``, if that counts. The second
-    result is the command of this step: eased from the command ``before``, if that counts and nobody has to be kept clear of.
+    The result is ``wanted`` itself if it leaves every agent its margin, else the best of 25 candidates. They are
+    compared by the largest lack of a margin, then by the path to ``towards`` [2], then by the difference from the
+    command ``target``, if it counts. The second result is the command of this step, which changes gradually from
+    ``before`` if that counts and no agent has to be avoided.
 
     Args:
         free: the floor.
         base: `base_numbers` of the base.
-        state: where the base is; with ``drives`` it makes the step, sliding strictly, except on stairs.
+        state: state of the base; with ``drives`` it makes the step, sliding strictly, except on stairs.
         wanted: wanted command.
-        towards: floor point [2] to which it is going.
-        others: discs of the others.
+        towards: floor point [2] to which the base is going.
+        others: discs of the other agents.
         target: first result of the last step.
         before: second result of the last step.
         drives: whether the base makes the step.
@@ -267,7 +269,7 @@ def keep_clear(
 
 
 def base_numbers(base: BaseSpec) -> tuple[Any, ...]:
-    """Return the numbers of a base that `clear_step` takes."""
+    """Return the constants of a base that `clear_step` takes."""
     spec, speed, (offsets, hull) = AVOIDANCE, STEP_S / base.max_speed_mps, _discs(base)
     limits = (base.max_speed_mps, base.max_lateral_mps, base.max_turn_rad_s, float(base.allow_back))
     sliding = (base.clearance_tolerance_m, base.contact_tolerance_m, base.farthest_m(STEP_S))
@@ -285,7 +287,7 @@ def base_numbers(base: BaseSpec) -> tuple[Any, ...]:
 
 
 def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
-    """Return the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
+    """Return the speed from which braking at a rate reaches the speed ``last`` after a remaining distance or angle."""
     return math.sqrt(2.0 * accel * max(left, 0.0) + last * last)
 
 
@@ -296,9 +298,9 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def crowding(base: BaseSpec, stands: NDArray, others: Sequence[ObstacleDisc]) -> NDArray[np.int64]:
-    """Rate how close a robot at stands ``(x, z, heading)`` [N, 3] would be to other agents now, [N].
+    """Rate how close a robot at stands ``(x, z, heading)`` [N, 3] would be to other agents at present, as int [N].
 
-    1 is within the margin of one of them, 2 is contact, and 0 is neither.
+    The rating is 1 within the margin of an agent, 2 in contact with one, and 0 otherwise.
     """
     discs = np.array([(*o.xz, base.disc_radius_m + o.radius_m, o.margin_m) for o in others], np.float64).reshape(-1, 4)
     return _crowding(np.ascontiguousarray(stands), discs, _discs(base)[1], AVOIDANCE.still_margin_m)

@@ -1,4 +1,4 @@
-"""Other agents as seen by one that moves, and rules by which people let each other pass."""
+"""Other agents as observed by an agent that moves, and the rules by which people let each other pass."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_PATH = np.zeros((0, 2))
 
 
 class ObservedAgent(NamedTuple):
-    """State of another agent, as seen by one that moves."""
+    """State of another agent, as observed by an agent that moves."""
 
     number: int
     xz: NDArray[np.float64]
@@ -87,12 +87,12 @@ def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[Ob
 
 
 def stands(other: ObservedAgent) -> bool:
-    """Return whether an agent stands."""
+    """Return whether an agent stands still."""
     return math.hypot(*other.velocity.tolist()) <= AVOIDANCE.stands_mps
 
 
 def waits(number: int, other: ObservedAgent) -> bool:
-    """Return whether a person waits for an agent that blocks them: one with a smaller number that moves."""
+    """Return whether a person waits for an agent that blocks them, which moves and has a smaller number."""
     # an order of all people: if two waited for each other, neither would ever walk on
     return other.number < number and not stands(other)
 
@@ -137,7 +137,8 @@ def path_around(
 ) -> NDArray | None:
     """Return floor points [N, 2] from ``xz`` [2] to ``goal`` [2] around all agents that stand; None if there is no path.
 
-    ``radius_m`` is one's own; ``passing_m`` are gaps to leave beside the others, of which the first that works is taken.
+    ``radius_m`` is the radius of the agent that moves. ``passing_m`` are gaps to leave beside the others [m], of which
+    the first that works is used.
     """
     standing = [discs_of(other) for other in others if stands(other)]
     discs = np.concatenate(standing) if standing else np.zeros((0, 3))
@@ -174,7 +175,8 @@ def retreat_place(
 ) -> NDArray[np.float64] | None:
     """Return the place [2] nearest to a robot at ``xz`` [2] from which a person nearby has room to pass.
 
-    None if no person is near, or if there is no such place. ``wider_m`` is by how much the robot is wider than ``quad_arm``.
+    Returns None if no person is near, or if there is no such place. ``wider_m`` is the difference in width between the
+    robot and ``quad_arm`` [m].
     """
     spec = AVOIDANCE
     near = [other for other in others if not other.is_robot and np.hypot(*(other.xz - xz)) < spec.retreat_m]
@@ -194,7 +196,7 @@ def retreat_place(
 
 
 def crowds(places: NDArray, others: Sequence[ObservedAgent]) -> NDArray[np.bool_]:
-    """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
+    """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to agents that stay, [N]."""
     apart = AVOIDANCE.apart_m
     gaps = [np.hypot(*(places[:, :2] - other.xz).T) < apart for other in others if not other.steps_aside]
     return np.any(gaps, axis=0) if gaps else np.zeros(len(places), np.bool_)

@@ -19,19 +19,20 @@ from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.fcl_world import Contact, MovingShapes, collide, contacts, distance
 
 NEAR_M = 1e-3
-"""Distance below which capsules are tested by FCL, which decides contact to about 1e-6 m [m]."""
+"""Distance between capsules below which FCL tests the exact shapes; FCL decides contact to about 1e-6 m [m]."""
 
 
 class AgentContacts:
-    """Contacts between agents, step after step.
+    """Contacts between agents, updated step by step.
 
     An agent is its collision shapes, one world transform each: those of a robot's links, or the capsules of a person's
-    bones (`sim_kinematic.contact.frames.body_shapes`). `update` only stores poses: FCL gets them when somebody asks about two
-    agents that are near each other. The gate is conservative: the capsules contain every shape, so it hides no contact.
+    bones (`sim_kinematic.contact.frames.body_shapes`). `update` only stores poses: FCL receives them when two agents
+    that are near each other are queried. The gate is conservative: the capsules contain every shape, so it hides no
+    contact.
     """
 
     def __init__(self, *agents: Sequence[Shape]) -> None:
-        """Take the shapes of each agent, in their own frames."""
+        """Create the contact test from the shapes of each agent, in their own frames."""
         self._bodies = tuple(_Body(shapes) for shapes in agents)
 
     def update(self, agent: int, frames: ArrayLike) -> None:
@@ -101,7 +102,7 @@ def _world(frames, ends):
 
 @kernel(error_model="numpy")
 def any_near(ends_a, radii_a, ends_b, radii_b, margin):
-    """Return whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
+    """Return whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` of another one [m]."""
     # balls around the other's capsules: they rule out most pairs, without the distance of two segments
     spheres = np.empty((len(radii_b), 4))
     for b in range(len(radii_b)):
@@ -132,7 +133,7 @@ def any_near(ends_a, radii_a, ends_b, radii_b, margin):
 
 @kernel(error_model="numpy")
 def segment_square(p, q, r, s):
-    """Return the square of the distance between segments p-q and r-s in space.
+    """Return the square of the distance between the segments p-q and r-s in space [m2].
 
     Source: Ericson, Real-Time Collision Detection, 5.1.9.
     """

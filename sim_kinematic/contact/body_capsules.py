@@ -23,24 +23,27 @@ from sim_kinematic.contact.agent_contact import NEAR_M, any_near
 
 
 class AgentCapsules:
-    """The capsules of a robot's links, or of a person's bones."""
+    """Capsules around a robot's links, or around a person's bones."""
 
     def __init__(self, body: Humanoid | Robot) -> None:
         self._kernel, self._args, self.radii, self._call = _capsules_of(body)
         # frames and ends are filled in place, so that posing allocates nothing
         self._frames, self.ends = np.empty((1, len(self._args[2]), 4, 4)), np.empty_like(self._args[1])
-        """Ends in the world, as last posed, [n, 2, 3] [m]."""
+        """World positions of the capsules' ends in the last posture, [n, 2, 3] [m]."""
 
     def pose(self, base: Array, *posture: Array) -> None:
-        """Pose the agent with its root at a pose7 [7] in the world: a robot by its joint positions [J].
+        """Pose the capsules of an agent whose root is at a pose7 [7] in the world.
 
-        A person by local rotations [55, 4] and the pelvis [3].
+        A robot is posed by its joint positions [J], and a person by local rotations [55, 4] and the pelvis [3] [m].
         """
         self._call(self._kernel, base, *(part[None] for part in posture), *self._args, self._frames, self.ends)
 
 
 def may_touch(a: AgentCapsules, b: AgentCapsules) -> bool:
-    """Return whether `AgentContacts` must be asked: two capsules are within twice `NEAR_M`."""
+    """Return whether two agents are close enough that `AgentContacts` has to test them.
+
+    This is so if two of their capsules are within twice `NEAR_M`.
+    """
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
     margin_m = 2 * NEAR_M

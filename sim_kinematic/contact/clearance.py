@@ -26,20 +26,22 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import PersonContact
 
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
-"""Length and radius of a capsule from a point downwards; what it overlaps supports the object that lies at the point [m]."""
+"""Length and radius of a capsule that extends downwards from a point [m]; things that it overlaps support an object
+that lies at the point."""
 FLOOR_M = 0.02
-"""Height up to which agents stand on what lies on the floor, such as a rug [m]."""
+"""Height up to which agents may stand on things that lie on the floor, such as a rug [m]."""
 LYING_M = 0.7
-"""Distance by which head or feet of somebody who lies, or hands of somebody who reaches for a thing, are farther from the root
-than anything in a clip at most [m]."""
+"""Largest distance by which the head or feet of a person who lies, or the hands of a person who reaches, are farther
+from the root than any part of the body in a clip [m]."""
 HOMES_KEPT = 64
-"""Largest number of homes whose furniture stays in FCL; scene sets have fewer."""
+"""Largest number of homes whose furniture stays loaded in FCL; scene sets have fewer."""
 
 
 class RobotHumanContact:
     """Contact between a robot in a fixed posture and a person who is posed by motion clips.
 
-    The robot has the collision shapes of its links, the person those that ``person_contact`` names.
+    The collision shapes of the robot are those of its links, and those of the person are the ones that
+    ``person_contact`` names.
     """
 
     def __init__(
@@ -59,7 +61,7 @@ class RobotHumanContact:
         self._shapes_at = shape_frames(robot, links)
         self._pair = AgentContacts(body_shapes(robot), body_shapes(human, person_contact))
         self.gate_m = robot_reach(robot, joints) + clip_reach(human, person_contact)
-        """Bases farther apart than this on the floor [m] cannot touch."""
+        """Distance of the two bases on the floor above which robot and person cannot touch [m]."""
 
     def touching(
         self,
@@ -72,7 +74,7 @@ class RobotHumanContact:
         seats: NDArray | None = None,
         hands: NDArray | None = None,
     ) -> NDArray[np.bool_]:
-        """Return whether robot and person touch in each of N cases, [N]; the people are posed together.
+        """Return whether robot and person touch in each of N cases, as bool [N], with all people posed together.
 
         Args:
             robot_base: poses of the robot's root [N, 7].
@@ -82,7 +84,7 @@ class RobotHumanContact:
             blend: weights of the clips [N].
             arms: how far each arm is folded in, left and right [N, 2].
             seats: heights of seats [m] and shares of the path to them (`h3data.bodies.people.sitting.take_seats`) [N, 2].
-            hands: where the hands are led (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
+            hands: places of the hands (`h3data.bodies.people.gestures.lead_hands`) [N, 4, 4].
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         # the gate holds for every posture but lying and reaching, so people farther away need not be posed
@@ -109,10 +111,10 @@ class RobotHumanContact:
 
 @lru_cache(maxsize=HOMES_KEPT)
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
-    """Return a test that is True if the whole resting robot at a base pose (pose7) overlaps nothing static in a scene.
+    """Return a test of whether the whole resting robot at a base pose (pose7) is clear of a scene's static things.
 
-    Its feet may stand on anything up to `FLOOR_M`. FCL decides, because the discs of the base cover neither its rear nor its
-    arm.
+    Its feet may stand on anything up to `FLOOR_M`. FCL decides, because the discs of the base cover neither its rear
+    nor its arm.
     """
     scenery = scenery_of(scene)
     shapes = MovingShapes(body_shapes(robot))
@@ -130,12 +132,12 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
 
 @lru_cache(maxsize=HOMES_KEPT)
 def scenery_of(scene: Scene) -> FclScene:
-    """Return the static instances of a scene in FCL, built once per scene."""
+    """Return the static instances of a scene in FCL, which are loaded once per scene."""
     return FclScene(scene)
 
 
 def robot_reach(robot: Robot, joints: Array) -> float:
-    """Return an upper bound of the distance of the robot's shapes from its root along the floor in a posture [J] [m]."""
+    """Return an upper bound of the floor distance of the robot's shapes from its root in a posture [J] [m]."""
     links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     reach = 0.0
     for matrix, link in zip(links, robot.links, strict=True):
@@ -148,7 +150,7 @@ def robot_reach(robot: Robot, joints: Array) -> float:
 def robot_span(robot: Robot) -> float:
     """Return an upper bound of the distance between the root and any shape of the robot in any posture [m].
 
-    It is the sum of the lengths of all links up to the shape, as if stretched out.
+    The bound is the sum of the lengths of all links up to the shape, as if they were stretched out.
     """
     # joints may turn in any direction, so lengths of links add up whatever their directions
     stretched, span = np.zeros(len(robot.links)), 0.0

@@ -1,8 +1,8 @@
-"""Scenes and moving bodies in FCL: broad phase over convex primitives, contacts, distances.
+"""Scenes and moving bodies in FCL, with a broad phase over convex primitives, contacts and distances.
 
-FCL decides whether shapes touch; the inner loop of walking and driving reads `FreeSpace` instead. Three rules keep the answers
-of python-fcl right: only primitives and convex hulls, never triangle meshes; one geometry per object, since contacts name
-geometries; and the broad phase is informed of every move.
+FCL decides whether shapes touch; the inner loop of walking and driving reads `FreeSpace` instead. Three rules keep the
+answers of python-fcl right: only primitives and convex hulls, never triangle meshes; one geometry per object, since
+contacts name geometries; and the broad phase is informed of every move.
 """
 
 from __future__ import annotations
@@ -32,16 +32,17 @@ class Contact(NamedTuple):
     """Overlap of a shape of ``a`` with a shape of ``b``."""
 
     index_a: int
-    """Index of the shape in ``a`` (for a scene: into ``names``)."""
+    """Index of the shape in ``a``, or into ``names`` if ``a`` is a scene."""
     index_b: int
     depth_m: float
-    """Depth of the overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for
-    capsules, cylinders and hulls never give less than the least depth, but up to a few centimetres more when it is
-    deep."""
+    """Depth of the overlap along ``normal``, positive [m]. The depth is exact between boxes and balls. For capsules,
+    cylinders and hulls, FCL's iterations never give less than the least depth, but up to a few centimetres more for
+    deep overlaps."""
     point: NDArray[np.float64]
-    """A point in the overlap, world, shape [3] [m]."""
+    """A point in the overlap, in the world, shape [3] [m]."""
     normal: NDArray[np.float64]
-    """Unit direction from a to b, shape [3]: moving b along it by ``depth_m`` parts them."""
+    """Unit direction from ``a`` to ``b`` in the world, shape [3]: moving ``b`` along it by ``depth_m`` separates
+    them."""
 
 
 class _Objects:
@@ -62,7 +63,7 @@ class _Objects:
 
 
 class FclScene(_Objects):
-    """Static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
+    """Static instances of a scene; collision object k is a convex part of the instance ``names[k]``."""
 
     def __init__(self, scene: Scene) -> None:
         geometries, matrices, names, bounds = [], [], [], []
@@ -76,13 +77,13 @@ class FclScene(_Objects):
                 bounds.append(_bounds(shape, rigid.astype(np.float64), instance.scale))
         self.names: tuple[str, ...] = tuple(names)
         self.bounds: NDArray[np.float64] = np.array(bounds).reshape(-1, 2, 3)
-        """Lower and upper corner of a box around each part, world, [n, 2, 3] [m]."""
+        """Lower and upper corner of a box around each part in the world, [n, 2, 3] [m]."""
         super().__init__(geometries, matrices)
 
     def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
         """Return whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
 
-        It is a first test, 50 times as fast as FCL's exact answer.
+        This first test is 50 times as fast as FCL's exact one.
         """
         # one more axis, as the kernel compares capsules in several poses
         start, end = (np.asarray(ends, np.float64)[None] for ends in (start, end))
@@ -102,7 +103,7 @@ class MovingShapes(_Objects):
         super().__init__([g for g, _ in pairs], list(self._local))
 
     def set_transforms(self, transforms: ArrayLike) -> None:
-        """Move every shape to its rigid world frame: ``transforms`` [n, 4, 4], of the frames in which shapes are defined."""
+        """Move every shape to its rigid world frame; ``transforms`` [n, 4, 4] are of the frames that define shapes."""
         t = np.asarray(transforms, np.float64)
         if t.shape != (len(self), 4, 4):
             raise InputError(
@@ -217,7 +218,7 @@ def _near_moved(frames, start, end, radius, bounds):
 
 
 def collide(a: _Objects, b: _Objects) -> bool:
-    """Return whether anything of a overlaps anything of b; touching within rounding counts either way."""
+    """Return whether any object of ``a`` overlaps any of ``b``; contact within rounding errors may count either way."""
     import fcl
 
     if not len(a) or not len(b):
@@ -228,7 +229,7 @@ def collide(a: _Objects, b: _Objects) -> bool:
 
 
 def contacts(a: _Objects, b: _Objects) -> list[Contact]:
-    """Return the overlaps of shapes of a with shapes of b, deepest first, one or more for each pair that overlaps."""
+    """Return the overlaps of the shapes of ``a`` with those of ``b``, deepest first, one or more for each pair."""
     import fcl
 
     if not len(a) or not len(b):
@@ -249,7 +250,7 @@ def contacts(a: _Objects, b: _Objects) -> list[Contact]:
 def distance(a: _Objects, b: _Objects) -> float:
     """Return the smallest distance between two sets of objects [m], infinite if one is empty.
 
-    If they overlap, it is minus `Contact.depth_m` of the deepest contact, with the error stated there.
+    If they overlap, the result is minus `Contact.depth_m` of the deepest contact, with the error described there.
     """
     import fcl
 

@@ -1,4 +1,4 @@
-"""Frames of links and joints, and the collision shapes on them, from the state."""
+"""Frames of links and joints, and of the collision shapes on them, from the simulator's state."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Body = Robot | Humanoid
 
 
 def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
-    """Check that bodies are those of the agents of a state: robots first, then people.
+    """Check that bodies are those of the agents of a state, robots first, then people.
 
     Raises:
         InputError: Their number or order differs.
@@ -37,11 +37,11 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
 
 
 Floor = FreeSpace | float | Array
-"""Floor map of a scene, or the height of a level floor [m], one for all worlds or [W]."""
+"""Floor map of a scene, or the height of a level floor [m], as one number for all worlds or as [W]."""
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
-    """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
+    """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]; on stairs, only robots pitch."""
     if not isinstance(floor, FreeSpace):
         return ground_pose(xz, heading, floor)
     return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m)
@@ -73,12 +73,12 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
 
 
 def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:
-    """Return the phase of a person in the cycle of a clip, 0..1, [W]."""
+    """Return the phase of a person in the cycle of a motion clip, 0..1, [W]."""
     return cycle_phase(body.clips[clip], state.distance, state.set_off)
 
 
 def body_shapes(body: Body, person_contact: PersonContact = "body") -> tuple[Shape, ...]:
-    """Return the collision shapes of a robot's links or of a person (`PersonContact`), in frames of `shape_frames`."""
+    """Return the collision shapes of a robot's links, or of a person (`PersonContact`), in frames of `shape_frames`."""
     if isinstance(body, Robot):
         return tuple(shape for link in body.links for shape in link.shapes)
     # sizes of bones do not change with the posture, so any posture gives them

@@ -1,4 +1,4 @@
-"""Outlines of people as a laser scanner near the floor sees them: two legs, each a circle."""
+"""Outlines of people as a laser scanner near the floor measures them: two legs, each a circle."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 
 LEG_RADIUS_M, LEG_HEIGHT_M = 0.06, 0.3
-"""Radius of a shin with trousers; height of the plane in which legs are cut, as scanners of mobile robots are at 0.1 to 0.4 m
-[m]."""
+"""Radius of a shin with trousers, and height of the plane in which legs are cut [m]. Scanners of mobile robots are 0.1
+to 0.4 m high."""
 _KNEES, _ANKLES = ([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")] for joint in ("knee", "ankle"))
 
 

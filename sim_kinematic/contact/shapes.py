@@ -17,14 +17,15 @@ if TYPE_CHECKING:
     import fcl
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""Rotation that takes z to y: axes of cylinders and capsules are z in FCL, y here."""
+"""Rotation from the z axis to the y axis, as the axis of cylinders and capsules is z in FCL and y in h3data."""
 
 
 def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
-    """Return FCL's geometry of a shape in a frame scaled per axis [3], and the rigid 4x4 matrix from it to that frame.
+    """Return FCL's geometry of a shape in a frame scaled per axis [3], and the rigid [4, 4] transform to that frame.
 
-    Boxes, cylinders and capsules stay primitives where the scale allows it, and become convex hulls otherwise (never triangle
-    meshes, for which python-fcl's answers are wrong). Every call returns a new geometry, by which contacts name the shape.
+    Boxes, cylinders and capsules stay primitives where the scale allows it, and become convex hulls otherwise (never
+    triangle meshes, for which python-fcl's answers are wrong). Every call returns a new geometry, by which contacts
+    name the shape.
 
     Raises:
         InputError: A scale is 0 or not finite.
@@ -97,7 +98,7 @@ def _align_axes(starts, ends, frames):
 def shapes_from_capsules(start: ArrayLike, end: ArrayLike, radius: ArrayLike) -> tuple[Capsule, ...]:
     """Return capsules along the y axis of their own frames, with the lengths of the segments ``start`` to ``end`` [n, 3].
 
-    They are for bodies whose capsules keep their length while they move: `MovingShapes` holds them, and
+    The capsules are for bodies in which they keep their lengths while they move: `MovingShapes` holds them, and
     ``set_transforms(capsule_transforms(start, end))`` poses them.
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)

@@ -1,1 +1,1 @@
-"""People who choose their velocities among others: social force and reciprocal avoidance over one home's distance grid."""
+"""People who choose their velocities among other people, by social force or reciprocal avoidance, in one home."""

@@ -1,4 +1,4 @@
-"""Groups of people who walk abreast (Moussaid et al. 2010), or stand and talk in F-formations (Kendon 1990)."""
+"""Groups of people who walk abreast (Moussaid et al. 2010), or who stand and talk in F-formations (Kendon 1990)."""
 
 from __future__ import annotations
 
@@ -19,32 +19,35 @@ GAZE, COHESION, REPULSION = 4.0, 3.0, 1.0
 """Weights of Moussaid et al. 2010: for turning the head to the others [1/(s rad)], for the group's centre and for members who
 are too near [m/s2]."""
 TOO_NEAR_M, CLOSED_M2 = 0.8, 0.2
-"""Members nearer than this repel each other [m]; area of floor that a conversation may cut off from the rest [m2]."""
+"""Distance below which members of a group repel each other [m]; area of floor that a conversation may cut off from the
+rest [m2]."""
 AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
-"""Place towards which members walk: its distance ahead, its largest distance beside the path, and its least room [m]."""
+"""Place towards which members of a group walk: its distance ahead, its largest distance beside the path, and its least
+distance from obstacles [m]."""
 VIEW_RAD = math.pi / 2
 """Angle to the others of a group beyond which a member turns the head and walks slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
-"""Distance from the company [m] within which a member slows down to the first share of the speed at most, else to the
-second. So nobody stands still in a passage, where the members walk one behind the other."""
+"""Distance from the group [m] within which a member slows down at most to the first share of the speed, and beyond
+which at most to the second. So no member stands still in a passage, where the group walks in single file."""
 ONWARD = 0.3
-"""Least share of the speed with which a member goes on, whatever the company does."""
+"""Least share of the speed at which a member of a group keeps walking, whatever the group does."""
 APART_M, NEAR_M = 1.0, 0.6
-"""Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
+"""Least distance between neighbours in a conversation, and of everyone from its centre [m]."""
 BETWEEN_M = 0.3
-"""Detour below which somebody stands between two members of a group [m]: the path from one to the other by way of that
-person is longer by less."""
+"""Detour below which a person counts as standing between two members of a group [m]: the extra length of the path from
+one member to the other through that person."""
 BEHIND_M = 0.3
-"""Room behind people who stand and talk [m]."""
+"""Free space behind people who stand and talk [m]."""
 CANDIDATES = 300
 """Number of places for a conversation that are compared."""
 PASSING_M, EDGE_M = 0.95, 0.25
-"""Distances at which people pass those who stand and talk, and walls: both bodies with what feet reach ahead [m]."""
+"""Distances at which people pass others who stand and talk, and at which they pass walls [m]: both bodies with the
+reach of their feet."""
 
 
 @kernel(error_model="numpy")
 def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
-    """Return the wanted velocity (x, z) [m/s] of a member of a group: parallel to the path of all where it has room."""
+    """Return the wanted velocity (x, z) [m/s] of a member of a group, parallel to the group's path if there is room."""
     ax, az = point_along(path, cumulative, along)
     tx, tz = point_along(path, cumulative, min(along + AHEAD_M, cumulative[-1]))
     aside = min(math.hypot(x - ax, z - az), ASIDE_M) / max(math.hypot(x - ax, z - az), 1e-6)
@@ -62,8 +65,9 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
 def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, unparted):
     """Return the wanted velocity (x, z) [m/s] of person ``m``, who wants ``(wx, wz)``, with the forces of their group.
 
-    The gaze slows down who is ahead of the others, cohesion pulls to the group's centre from (N - 1) / 2 m on, growing over
-    0.3 m, and members nearer than 0.8 m repel each other. A force counts as the change of velocity within ``tau`` [s].
+    The gaze slows down a member who is ahead of the others. Cohesion pulls to the group's centre from a distance of (N
+    - 1) / 2 m on, growing over 0.3 m. Members nearer than 0.8 m repel each other. A force counts as the change of
+    velocity within ``tau`` [s].
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -72,12 +76,12 @@ def keep_company(sdf, origin, cell, m, company, places, wx, wz, tau, in_sight, u
         m: Number of the person.
         company: Number of the walking group of each person of the crowd [M], -1: none.
         places: Positions (x, z) [N, 2] [m].
-        wx: Wanted velocity [m/s].
-        wz: The same along z.
+        wx: Wanted velocity along x [m/s].
+        wz: Wanted velocity along z [m/s].
         tau: Time constant of the desired velocity [s].
-        in_sight: True if only members count whom the person sees, as others would pull them against a wall, and if members go
+        in_sight: True if only visible members count, as others would pull people against a wall, and if members walk
             on at least slowly. False repeats recordings of earlier versions.
-        unparted: True if only members count between whom and the person nobody else is. False repeats recordings likewise.
+        unparted: True if members count only if nobody else is in between. False repeats earlier recordings.
     """
     x, z = places[m, 0], places[m, 1]
     others, cx, cz, rx, rz = 0, 0.0, 0.0, 0.0, 0.0
@@ -156,13 +160,14 @@ def standing_circle(
 ) -> tuple[Array, Array]:
     """Return the places [N, 2] of people who talk, and the centre [2] that they face: an F-formation (Kendon 1990).
 
-    The circle is where it has room and others can pass, as near to the people as possible, and each takes the nearest place
-    on it. In a home without such room the roomiest place is taken, and people who cannot stand on the circle stand inside it.
+    The circle is as near to the people as possible, at a place where it fits and others can pass, and each person takes
+    the nearest place on it. In a home without enough room, the roomiest place is used, and people who cannot stand on
+    the circle stand inside it.
 
     Args:
         free: The floor.
         xz: Positions of the people now [N, 2] [m].
-        rng: Source of the places that are compared.
+        rng: Random number generator for the places that are compared.
         leaves_way: False for conversations of earlier versions, which may close a passage.
     """
     radius = circle_radius(len(xz))

@@ -1,4 +1,4 @@
-"""People of one world who walk from goal to goal and avoid others by a model of crowds."""
+"""People of one world who walk from goal to goal and avoid others by a crowd model."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ ARRIVED_M = 0.4
 ATTEMPTS = 8
 """Largest number of goals that are tried in one step, as some of them may have been reached already."""
 STUCK_PATHS, AWAY_M, WAY_M = 4, 1.0, 1.5
-"""Number of goals that people who are stuck compare, the distance along the path at which they look for others, and the length
-of the path before them on which people who stay there make room [m]."""
+"""Number of goals that people who are stuck compare; distance along the path at which they look for other people [m];
+and length of the path ahead of them from which people who stay there move away [m]."""
 CLOSE_M = 1.5
-"""Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
+"""Distance from their destination within which people who are stuck stay where they are, because another person stands
+there [m]."""
 AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
-"""Distances from people who stand by which paths go around them: the second where the first leaves no way; least distances of a
-place to which people back out from everybody near, and from the paths of those; distance within which people are near, and
-length of these paths [m]."""
+"""Distances for paths around people who stand, and for backing out [m]: distances at which paths go around them, the
+second of which is used if the first leaves no path; least distances of a place to back out to from everybody near, and
+from their paths; distance within which people count as near; and length of these paths."""
 VERSION = 5
-"""Number of the rules by which crowds decide, which recordings hold. In version 1, that of recordings without a number,
-conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there although
-somebody cannot get past. Up to version 2, people avoid others 2 s ahead, also those who give way to them, and step aside more
-slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody backs out (`Crowd._way`).
-Up to version 4, every place near a wall counts as narrow, and people give way later and more slowly."""
+"""Version of the rules by which crowds decide, which recordings store. In version 1, that of recordings without a
+version, conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there
+although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
+and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody
+backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and more
+slowly."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -60,9 +62,9 @@ def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, floa
 
 
 class Crowd:
-    """Crowd of M people on one floor who follow one model.
+    """Crowd of M people on one floor who follow the same model.
 
-    Positions are those of the world and are given in each step. Goals, paths and chosen velocities are kept between steps.
+    Positions are passed in at each step. The crowd stores goals, paths and chosen velocities between steps.
     """
 
     def __init__(
@@ -82,16 +84,16 @@ class Crowd:
         """Create a crowd that stands still and has no goals yet.
 
         Args:
-            free: Floor on which all of them walk.
+            free: Floor on which all people of the crowd walk.
             traits: Traits of each person [M].
-            guides: Function of each person that returns their next errand [M].
+            guides: For each person, the function that returns their next errand [M].
             model: ``orca`` (reciprocal avoidance) or ``social_force``.
             roles: Reaction, company and routine of each person [M].
-            seed: Seed of the episode, from which conversations have their places.
+            seed: Seed of the episode, which determines the places of conversations.
             spec: Constants of avoidance.
             stride: Limits of walking.
-            places: Stations that people of all crowds of a world have, by crowd and number; this crowd adds its own.
-            version: `VERSION` by which they decide; an earlier one repeats older recordings.
+            places: Stations that people of all crowds of a world use, by crowd and number; this crowd adds its own.
+            version: Version of the rules (`VERSION`); an earlier one repeats older recordings.
         """
         people = len(traits)
         self._free, self._seed, self._version = free, seed, version
@@ -111,14 +113,14 @@ class Crowd:
         self._roles = list(roles or [ALONE] * people)
         self._errands = [Errand(np.zeros((0, 2)))] * people
         self._until = np.full(people, -1.0)
-        """Step until which each person stays where they are, -1: they walk."""
+        """Step until which each person stays where they are; -1 if they walk."""
         self.seats = np.zeros((people, 2))
         """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
         self._taken: dict[Any, Station] = {} if places is None else places
         self._busy: dict[int, tuple[Station, Motion]] = {}
-        """Station and motion of people who are at one, such as those who sit down, sit or get up."""
+        """Station and motion of people who use a station, such as those who sit down, sit or get up."""
         self._waits: dict[int, tuple[Array, float]] = {}
-        """Next place and share of their motion, for those who wait because somebody stands there."""
+        """Next place and share of sitting of people who wait at a station because another person is in the way."""
         self._stays, self._looks, self._moods = (np.zeros((people, 3)) for _ in range(3))
         self._moods[:, 0] = [list(REACTIONS).index(role.reaction) for role in self._roles]
         self._moods[:, 1] = -1.0
@@ -129,7 +131,7 @@ class Crowd:
         for first in set(self._company.tolist()) - {-1}:
             self._pace[self._company == first] = self._pace[self._company == first].min()
         self.new_events: list[tuple[int, str, str, str]] = []
-        """Events of the last step: number of the person, kind, target and detail of an event."""
+        """Events of the last step, each as number of the person, kind, target and detail."""
 
     @property
     def goals(self) -> Array:
@@ -142,12 +144,12 @@ class Crowd:
         """Return positions [M, 2] [m] and headings [M] [rad] after one more step.
 
         Args:
-            places: Positions now of the people, the discs of robots, and people who are not of this crowd [N, 2] [m].
+            places: Present positions of the people, the discs of robots, and people of other crowds [N, 2] [m].
             before: Their positions one step ago [N, 2] [m].
             heading: Headings of the people now [M] [rad].
             radii: Radii of the discs [N] [m]; those of the people are overwritten by their traits.
             robots: Places and headings of robots (x, z, heading) [R, 3].
-            of_robots: Number of discs of robots.
+            of_robots: Number of discs that belong to robots.
             step: Number of the step.
         """
         people = len(heading)
@@ -234,7 +236,7 @@ class Crowd:
                 self.new_events.append((m, kind, station.name, ""))
 
     def _meet(self, xz: Array) -> None:
-        """Find places for the groups that stand and talk, from the positions ``xz`` [M, 2] at the start."""
+        """Find places for the groups that stand and talk, from the initial positions ``xz`` [M, 2]."""
         for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
             members = [m for m, role in enumerate(self._roles) if role.group == word]
             number = int(word.removeprefix("talk") or 0)
@@ -319,7 +321,7 @@ class Crowd:
             self._until[standing[near]] = step
 
     def _ahead(self, m: int, length_m: float) -> Array:
-        """Return places [N, 2] on the path of a person, as far as ``length_m`` ahead of them."""
+        """Return places [N, 2] on the path of a person, up to ``length_m`` ahead of them."""
         count, ahead = self._counts[m], self._along[m] + np.arange(0.0, length_m, PASSING_M / 4)
         return np.stack([np.interp(ahead, self._lengths[m, :count], self._paths[m, :count, k]) for k in range(2)], 1)
 

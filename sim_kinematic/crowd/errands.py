@@ -13,18 +13,18 @@ from h3data.geometry import Array
 from h3data.recording import AssetRef, Body
 
 Motion = Iterator[tuple[Array, float]]
-"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, and lying, 2, after each step."""
+"""Place ``(x, z, heading)`` [3] of a person and their posture after each step: 0 is standing, 1 sitting and 2 lying."""
 
 
 class Station(NamedTuple):
-    """Place at which a person moves by a motion of its own, such as a seat."""
+    """Place at which a person moves by a special motion, such as a seat."""
 
     name: str
     """Name of the station in events."""
     height_m: float
     """Height of the seat above the floor [m]; 0 without a seat."""
     taken: Array
-    """Place ``(x, z, heading)`` of the person who is there, and the distance that others keep from it, [4]."""
+    """Place ``(x, z, heading)`` of the person who is there, and the distance that others keep from it [m], [4]."""
     motion: Callable[[Array, float], Motion]
     """Function that returns the motion of a person who arrives at a place [3] and stays for some seconds."""
 
@@ -36,7 +36,7 @@ class HandWork:
     things: tuple[Body, ...] = ()
     """Things that the person takes or carries, beyond the things of the home; a pose of NaN means absent."""
     assets: tuple[AssetRef, ...] = ()
-    """Appearance of the things."""
+    """Assets that define the appearance of the things."""
     lead: Array = field(default_factory=lambda: np.zeros((4, 4)))
     """Places to which the hands move (`h3data.bodies.people.gestures.lead_hands`) [4, 4]."""
     held: dict[int, Array] = field(default_factory=dict)
@@ -51,38 +51,38 @@ class Errand(NamedTuple):
     """Errand of a person: a path to a place, and the time that they stay there."""
 
     path: NDArray[np.float64]
-    """Path to the place [K, 2] [m]; with K < 2 there is no path."""
+    """Path to the place [K, 2] [m]; if K < 2, there is no path."""
     seconds: float = 0.0
-    """Time to stay at the place [s]; 0: the person passes it."""
+    """Time to stay at the place [s]; 0 if the person passes it without stopping."""
     look: tuple[float, float] | None = None
     """Point (x, z) that the person faces during the stay [m]."""
     activity: str = "walk"
-    """Activity at the place, the name of a posture. A body that has no such posture stands."""
+    """Activity at the place, given as the name of a posture; a body without that posture stands."""
     place: str = ""
     """Name of the place."""
     station: Station | None = None
-    """Station at which the person moves by another motion, such as a seat; None: they stand."""
+    """Station at which the person moves by a special motion, such as a seat; None: they stand."""
     refused: tuple[str, str] = ("", "")
-    """Name of a place that the person wanted and cannot use, and the reason in a sentence."""
+    """Name of a place that the person wanted but cannot use, and the reason as a sentence."""
 
 
 Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
-"""Function ``(xz, goal, taken)`` that returns the next errand of a person at a place [2] [m], or the path from there to the
-goal [2] of their group. Others are at stations or stay, or go to do so, at the places ``taken`` ``(x, z, ...)``."""
+"""Function ``(xz, goal, taken)`` that returns the next errand of a person at a place [2] [m], or the path from there to
+the goal [2] of their group. The places ``(x, z, ...)`` that other people use, or go to, are ``taken``."""
 
 
 class Agenda(Protocol):
-    """Stops of one person, such as those of a morning at home; packages add some by entry points (`roles.routines`)."""
+    """Stops of one person, such as those of a morning at home; `roles.routines` finds more in packages."""
 
     stops: Sequence[tuple[str, str, float]]
-    """Place, activity and seconds of each stop; recordings name them."""
+    """Place, activity and duration [s] of each stop, which recordings store."""
     hands: HandWork | None
-    """Work of the person's hands; None: they handle nothing."""
+    """State of the person's hands; None: they handle nothing."""
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
     ) -> tuple[NDArray[np.float64], Errand] | None:
         """Return the place [2] of the next stop that a person at a place [2] can walk to, and its errand without a path.
 
-        Others are at the places ``taken`` ``(x, z, ...)``. None: no stop can be reached.
+        The places ``(x, z, ...)`` that other people use are ``taken``. Returns None if no stop can be reached.
         """

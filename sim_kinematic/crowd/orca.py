@@ -16,14 +16,14 @@ DIRECTIONS, SPEEDS = 24, 3
 def half_plane(px, pz, vx, vz, radius, horizon, dt, share):
     """Return the half-plane of velocity changes that avoid one neighbour.
 
-    The relative velocity must leave the velocity obstacle: the cone of velocities that lead into the disc ``radius`` around
-    the neighbour within ``horizon``. The nearest way out is shared between both.
+    The relative velocity must leave the velocity obstacle: the cone of velocities that lead into the disc ``radius``
+    around the neighbour within ``horizon``. The nearest way out is shared between both.
 
     Args:
-        px: Position of the neighbour relative to the agent [m].
-        pz: The same along z.
-        vx: Velocity of the agent relative to the neighbour [m/s].
-        vz: The same along z.
+        px: Position of the neighbour relative to the agent along x [m].
+        pz: Position of the neighbour relative to the agent along z [m].
+        vx: Velocity of the agent relative to the neighbour along x [m/s].
+        vz: Velocity of the agent relative to the neighbour along z [m/s].
         radius: Sum of both radii [m].
         horizon: Time within which they must not touch [s].
         dt: Time in which discs that overlap must come apart [s].
@@ -60,13 +60,13 @@ def half_plane(px, pz, vx, vz, radius, horizon, dt, share):
 def nearest_velocity(planes, count, wanted_x, wanted_z, most):
     """Return the velocity nearest to the wanted one that satisfies all half-planes, by an incremental linear program.
 
-    Where none does, the velocity of a few that violates them least.
+    If no velocity satisfies all of them, it is the one of a few candidates that violates them least.
 
     Args:
         planes: Half-planes ``(nx, nz, offset)`` with ``n . v >= offset``, [N, 3].
         count: Number of rows in use.
-        wanted_x: Wanted velocity [m/s].
-        wanted_z: The same along z.
+        wanted_x: Wanted velocity along x [m/s].
+        wanted_z: Wanted velocity along z [m/s].
         most: Greatest speed [m/s].
     """
     speed = math.hypot(wanted_x, wanted_z)

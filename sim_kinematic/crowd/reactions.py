@@ -1,7 +1,8 @@
-"""Reactions of people to visible robots: the six of HuNavSim with their published numbers.
+"""Reactions of people to visible robots: the six reactions of HuNavSim with their published parameters.
 
-Each is a distance, a time, and what the person does while the robot is in sight within that distance and the time since the
-first sight has not run out (Perez-Higueras et al. 2023, behaviour trees of hunav_sim). Otherwise the person walks on.
+A reaction has a distance, a duration, and a behaviour of the person. It applies while the robot is in sight within that
+distance, until the duration since the first sight is over (Perez-Higueras et al. 2023, behaviour trees of hunav_sim).
+Otherwise the person walks on.
 """
 
 from __future__ import annotations
@@ -24,19 +25,20 @@ class Reaction(NamedTuple):
     lasts_s: float = 0.0
     """Time from the first sight after which the reaction is over [s]."""
     again: float = 0.0
-    """Flag: 1 if the reaction begins anew at the next sight after its end."""
+    """Flag: 1 if the reaction starts again at the next sight of the robot after its end."""
     speed_mps: float = 0.0
     """Walking speed during the reaction [m/s]."""
     by_distance: float = 0.0
-    """Flag: 1 if this speed is multiplied by the distance divided by ``within_m``."""
+    """Flag: 1 if ``speed_mps`` is multiplied by the distance to the robot divided by ``within_m``."""
     approach: float = 0.0
     """Flag: 1 if the person walks up to the robot."""
     before_m: float = 0.0
-    """Distance in front of the robot of the place that the person walks up to [m]."""
+    """Distance in front of the robot to which the person walks up [m]."""
     stand_m: float = 0.0
     """Distance at which the person stands and looks at the robot [m]."""
     repulsion_m2_s2: float = 0.0
-    """Repulsion by the robot, which divided by the distance to its outline [m] gives an acceleration [m/s2]."""
+    """Repulsion by the robot [m2/s2]; divided by the distance to the robot's outline [m], it is an acceleration
+    [m/s2]."""
 
 
 REACTIONS: dict[str, Reaction] = {
@@ -75,16 +77,16 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 
 @kernel(error_model="numpy")
 def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
-    """Return whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
+    """Return whether a person reacts to a robot in this step, and update their ``mood`` [2].
 
     Args:
         reaction: Row of `TABLE`.
         mood: Step of the first sight, -1 before it; 1 while the person reacts. Changed in place.
-        x: Position of the person [m].
-        z: The same along z.
-        heading: Their heading [rad].
+        x: Position of the person along x [m].
+        z: Position of the person along z [m].
+        heading: Heading of the person [rad].
         robot: Place and heading of the robot (x, z, heading).
-        in_sight: True if nothing hides it.
+        in_sight: True if nothing hides the robot.
         step: Number of the step.
         dt: Duration of a step [s].
     """
@@ -106,16 +108,16 @@ def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
 
 @kernel(error_model="numpy")
 def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
-    """Return the velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that a reacting person wants, instead of ``(wx, wz)``.
 
     Args:
         reaction: Row of `TABLE`.
-        x: Position of the person [m].
-        z: The same along z.
+        x: Position of the person along x [m].
+        z: Position of the person along z [m].
         robot: Place and heading of the robot (x, z, heading).
         radius: Radius of the robot [m].
-        wx: Wanted velocity otherwise [m/s].
-        wz: The same along z.
+        wx: Velocity along x that the person wants without the reaction [m/s].
+        wz: Velocity along z that the person wants without the reaction [m/s].
         tau: Time in which a repulsion becomes a velocity [s].
     """
     px, pz = robot[0] - x, robot[1] - z

@@ -1,4 +1,4 @@
-"""Suffixes of a model's name that describe a person of a crowd, as in ``orca+curious+walk1``."""
+"""Suffixes of a crowd model's name that describe a person, as in ``orca+curious+walk1``."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ ANY = "any"
 
 
 class Role(NamedTuple):
-    """Reaction, company and routine of a person of a crowd."""
+    """Reaction, group and routine of a person of a crowd."""
 
     reaction: str = "regular"
     """Reaction of the person to a visible robot: one of `REACTIONS`."""
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
-    """Name of a routine (`routines`); empty if the person walks from goal to goal."""
+    """Name of the person's routine (`routines`); empty if they walk from goal to goal."""
 
 
 ALONE = Role()
-"""Role of somebody without company, who treats robots as people."""
+"""Role of a person without company, who treats robots like people."""
 
 
 @cache
 def routines() -> Registry[Any]:
-    """Return functions ``(episode, number)`` that return the `Agenda` of an agent, by name."""
+    """Return the registered functions ``(episode, number)``, by name, that make the `Agenda` of an agent."""
     return Registry("h3data.routines", {"morning": "", "evening": ""}, what="routine")
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
-    """Return the role that words with ``+`` between them describe; ``any`` is a reaction sampled for agent ``number``.
+    """Return the role of agent ``number`` from words joined by ``+``; ``any`` stands for a sampled reaction.
 
     Raises:
         InputError: There is no such reaction, group or routine.

@@ -1,7 +1,7 @@
 """Seats that a person can use, and the motions of sitting down and getting up.
 
-A place before the seat is searched on the floor on which people walk. There the person turns the back to the seat, and steps
-straight back to it. A seat whose path leads the body into a thing cannot be used.
+The motion starts at a place in front of the seat, on the floor on which people walk. There the person turns their back
+to the seat and steps straight back to it. A seat cannot be used if the body would overlap a thing on the path to it.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from sim_kinematic.crowd.errands import Motion, Station
 from sim_kinematic.motion.spec import STEP_S
 
 SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
-"""Durations of sitting down, of getting up, of standing still before, and of lying down or sitting up [s]."""
+"""Durations of sitting down, of getting up, of standing still before either, and of lying down or sitting up [s]."""
 STEP_MPS, TURN_RAD_S = 0.35, 1.2
-"""Mean speeds of steps and of turns before a seat."""
+"""Mean speeds of steps [m/s] and of turns [rad/s] in front of a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
-"""Distances between the places where people turn and where they stand before they sit down [m], of which the first with
-room is used."""
+"""Distances that are tried between the place where people turn and the place where they stand before they sit down [m];
+the first with enough room is used."""
 ROOM_M = 0.27
 """Least distance of the place of the turn from obstacles [m]."""
 DEPTH_M = 0.018
-"""Depth by which the collision shapes of a seated person may be in the seat, as cushions give way [m]."""
+"""Depth by which the collision shapes of a seated person may overlap the seat, as cushions give way [m]."""
 BESIDE_M = 0.8
 """Distance from a table or desk within which seats belong to it [m]."""
 APART_M, LIES_APART_M = 0.75, 1.6
-"""Least distance between people who sit side by side, and of those who sit down from the hips of somebody who lies [m]."""
+"""Least distance between people who sit side by side, and least distance from the hips of a person who lies to people
+who sit down [m]."""
 
 
 class SeatPlace(NamedTuple):
@@ -48,20 +49,20 @@ class SeatPlace(NamedTuple):
 
     seat: Seat
     before: Array
-    """Place ``(x, z, heading)`` [3] at which the person turns the back to the seat."""
+    """Place ``(x, z, heading)`` [3] at which the person turns their back to the seat."""
     stand: Array
     """Place ``(x, z, heading)`` [3] at which the person stands before sitting down."""
     lie: Array | None = None
-    """Place ``(x, z, heading)`` of the hips of a person who lies there, the feet ahead, and how far the hips are ahead of the
-    root [4]; None: they only sit."""
+    """Place ``(x, z, heading)`` of the hips of a person who lies with the feet ahead, and distance of the hips ahead of
+    the root [m], [4]; None if the person only sits."""
 
     @property
     def taken(self) -> Array:
-        """Place ``(x, z, heading)`` of the person who sits or lies there, and the distance that others keep from it, [4]."""
+        """Place ``(x, z, heading)`` of the person who uses the seat, and distance [m] that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
     def station(self) -> Station:
-        """Return the station of a person of a crowd who uses the seat."""
+        """Return the station at which a person of a crowd uses the seat."""
         return Station(
             self.seat.name, self.seat.height_m, self.taken, lambda here, seconds: sit_for(here, self, seconds)
         )
@@ -85,7 +86,7 @@ def fit(body: Humanoid, seat: Seat) -> Sitting:
 
 
 def stand_before(body: Humanoid, seat: Seat) -> Array:
-    """Return the place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
+    """Return the place ``(x, z, heading)`` [3] where a person stands before sitting down, with the back to the seat.
 
     Raises:
         InputError: The seat is too high, too low or too shallow for this body.
@@ -104,7 +105,7 @@ class Seats:
         self._before: dict[str, Array | None] = {}
 
     def at(self, thing: str) -> list[Seat]:
-        """Return the seats of a thing in the home, or else those beside it, the nearest first."""
+        """Return the seats of a thing in the home, or, if it has none, the seats beside it, nearest first."""
         own = [seat for seat in self._seats if seat.name.partition(":")[0] == thing or seat.name == thing]
         if own:
             return own
@@ -114,10 +115,10 @@ class Seats:
         return [self._seats[k] for k in np.argsort(gaps, kind="stable") if gaps[k] < BESIDE_M]
 
     def place(self, seat: Seat, taken: Sequence[Array] = ()) -> SeatPlace:
-        """Return the places for using a seat, while others have the places ``taken`` ``(x, z, ...)``.
+        """Return the places for using a seat, given the places ``(x, z, ...)`` that are ``taken`` by others.
 
         Raises:
-            InputError: The seat does not fit the body, somebody has it, or there is no room before it.
+            InputError: The seat does not fit the body, is taken, or has no room in front of it.
         """
         x, z, heading = stand_before(self._body, seat).tolist()
         if any(math.hypot(other[0] - x, other[1] - z) < (*other[3:], APART_M)[0] for other in taken):
@@ -137,10 +138,10 @@ class Seats:
         return SeatPlace(seat, before, stand)
 
     def to_lie(self, place: SeatPlace, taken: Sequence[Array] = ()) -> SeatPlace:
-        """Return the places for lying down on a seat that the person can use, while others have the places ``taken``.
+        """Return the places for lying down on a usable seat, given the places ``(x, z, ...)`` taken by others.
 
         Raises:
-            InputError: The surface is too small for the body, or something or somebody is in its way.
+            InputError: The surface is too small for the body, or an object or a person is in the way.
         """
         seat, sitting = place.seat, fit(self._body, place.seat)
         to_head, to_feet, aside = sitting.lying_size.tolist()
@@ -169,7 +170,7 @@ class Seats:
     def nearest(
         self, xz: Array, within_m: float, taken: Sequence[Array] = (), *, lies: bool = False
     ) -> SeatPlace | None:
-        """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none.
+        """Return the places for using the nearest seat that fits within a distance [m] of a place [2], or None.
 
         If ``lies``, the person lies down there.
         """
@@ -224,7 +225,7 @@ class Seats:
 
 
 def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
-    """Yield the motion of a person who comes from a place [3] before a seat, sits for some time, and goes back there."""
+    """Yield the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
     yield from take_seat(here, place)
     way = lying_way(place)
     at, up = way[-1]
@@ -235,7 +236,7 @@ def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
 
 
 def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:
-    """Return the places of a person who lies down, each with its share from 1 (sitting) to 2 (lying).
+    """Return the places of a person who lies down, each with a share that grows from 1 (sitting) to 2 (lying).
 
     If the person does not lie down there, the list has only the first place.
     """

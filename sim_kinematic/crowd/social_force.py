@@ -10,18 +10,19 @@ from sim_kinematic.motion.step import wrap_angle
 
 @kernel(error_model="numpy")
 def interaction(px, pz, vx, vz, lambda_, gamma, n, n_prime):
-    """Return the acceleration by one neighbour, before it is weighed.
+    """Return the acceleration caused by one neighbour, before it is weighted.
 
-    It slows down against the direction of the interaction, which is that to the neighbour turned by the relative velocity,
-    and turns aside, both falling exponentially with the distance.
+    The acceleration has a part that slows the person down, against the direction of the interaction, and a part that
+    turns them aside. Both fall exponentially with the distance. The direction of the interaction is the direction to
+    the neighbour, turned by the relative velocity.
 
     Args:
-        px: Position of the neighbour relative to the person [m].
-        pz: The same along z.
-        vx: Velocity of the person relative to the neighbour [m/s].
-        vz: The same along z.
+        px: Position of the neighbour relative to the person along x [m].
+        pz: Position of the neighbour relative to the person along z [m].
+        vx: Velocity of the person relative to the neighbour along x [m/s].
+        vz: Velocity of the person relative to the neighbour along z [m/s].
         lambda_: Weight of the relative velocity in the direction of the interaction.
-        gamma: Range for each length of that direction.
+        gamma: Range of the interaction for each m/s of the interaction vector.
         n: Angular range of slowing down.
         n_prime: Angular range of turning aside.
     """

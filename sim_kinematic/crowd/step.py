@@ -1,7 +1,7 @@
-"""Step of all people of a crowd: the velocity that each chooses, and the motion of their bodies towards it.
+"""Step of all people of a crowd: the velocity that each chooses, and the motion of the bodies towards it.
 
-People walk in the direction of view and a little sideways, and set off, brake and turn no faster than `StrideSpec` says, so
-that the feet that the walk draws stay planted. Whatever they decide, nobody's radius gets into another one's.
+People walk in the direction of view and a little sideways, and set off, brake and turn no faster than `StrideSpec`
+says, so that their feet stay planted. Whatever they decide, the discs of two people never overlap.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from sim_kinematic.motion.step import wrap_angle
 from sim_kinematic.motion.stride import point_along, progress_along, slide_along_walls
 
 WALL_M = 0.25
-"""Radius with which people keep clear of walls and furniture, beside which their arms fold."""
+"""Distance that people keep from walls and furniture, beside which their arms fold in [m]."""
 FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
-"""Distance ahead of the first foot of a person who sets off [m], time whose product with the speed is added to it [s],
-and room that the foot needs [m]."""
+"""Distance ahead of the first foot of a person who sets off [m]; time that is multiplied by the speed and added to this
+distance [s]; and room that the foot needs [m]."""
 CREEP_MPS = 0.25
-"""Speed up to which people step in any direction, independent of their heading [m/s]."""
+"""Speed up to which people step in any direction, regardless of their heading [m/s]."""
 AHEAD_M = 0.1
 """Length of the steps in which narrow places are searched along a path [m]."""
 PROGRESS_M = 0.25
 """Progress along the path above which a person does not count as stuck [m]."""
 SLIDES = 3
-"""Number of attempts to move past others with whom a step would collide."""
+"""Number of attempts to move past other people with whom a step would collide."""
 SEATED = 3.0
-"""Value in ``stays`` of people who sit down, sit or get up, whose places are prescribed."""
+"""Value in ``stays`` for people who sit down, sit or get up, whose places are prescribed."""
 BACK_M, START_M = 1.5, 0.1
-"""Distance that people in a narrow place go back along their path to let others through, and distance from its beginning within
-which they cannot [m]."""
+"""Distance that people in a narrow place go back along their path to let others through, and distance from the start of
+the path within which they cannot go back [m]."""
 STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
 """Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
 stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
@@ -47,8 +47,8 @@ Moussaid et al. [s]."""
 def reach_between(m, j, px, pz, radii, body):
     """Return the least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
 
-    It is the sum of both radii, and more along the line in which somebody looks: feet and hands reach ahead and behind at once
-    when they set off.
+    The distance is the sum of both radii, and more along the direction of view, since feet and hands reach ahead and
+    behind when people set off.
     """
     reach, line = radii[m] + radii[j], math.atan2(-pz, px)
     for k in (m, j):
@@ -59,15 +59,15 @@ def reach_between(m, j, px, pz, radii, body):
 
 @kernel(error_model="numpy")
 def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
-    """Return whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
+    """Return whether a person of a crowd has arrived, is stuck, has stayed long enough or has no path.
 
     Args:
         xz: Positions of the people [M, 2] [m].
-        paths: Their paths [M, K, 2] [m].
+        paths: Paths of the people [M, K, 2] [m].
         counts: Number of points of each path [M].
         best: Largest progress so far, and the step in which it was made [M, 2].
         traits: `Traits` of the people [M, 6].
-        until: Step until which each person stays where they are, -1: they walk [M].
+        until: Step until which each person stays where they are [M]; -1: they walk.
         step: Number of the step.
         dt: Duration of a step [s].
         arrived_m: Distance to the end of the path from which on they have arrived [m].
@@ -90,7 +90,8 @@ def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
 def is_narrow(sdf, origin, cell, x, z, narrow, beside):
     """Return whether two people cannot pass each other at a place.
 
-    With ``beside``, it is not narrow if there is room where it is wider: shortest paths lead along walls, also in wide rooms.
+    With ``beside``, a place next to a wall is not narrow if there is room on its other side, because shortest paths
+    lead along walls even in wide rooms.
     """
     missing = narrow - sample_sdf(sdf, origin, cell, x, z)
     if missing <= 0.0 or not beside:
@@ -104,7 +105,10 @@ def is_narrow(sdf, origin, cell, x, z, narrow, beside):
 
 @kernel(error_model="numpy")
 def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within, beside):
-    """Return the distance along the path [m] of the first narrow place from ``along`` on; -1: none is near (``within`` [m])."""
+    """Return the distance along the path of the first narrow place from ``along`` on [m]; -1 if none is near.
+
+    Places beyond ``within`` [m] are not searched.
+    """
     at = along
     while at <= min(along + within, cumulative[-1]):
         x, z = point_along(path, cumulative, at)
@@ -116,10 +120,10 @@ def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within, besi
 
 @kernel(error_model="numpy")
 def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims, step, rules):
-    """Note in ``claims`` [M, 6] who is in or before a narrow place, in place.
+    """Note in ``claims`` [M, 6], in place, which people are in or before a narrow place.
 
-    A row holds the step in which the person came there (0: nowhere), the place (x, z) where it begins for them, the direction
-    in which they pass it, and whether they are in it.
+    A row holds the step in which the person came to the place (0: no place), the point (x, z) where it starts for them,
+    the direction in which they pass it, and whether they are in it.
     """
     narrow, wait, beside = rules[5], rules[6], rules[18] > 4.0
     for m in range(len(xz)):
@@ -142,7 +146,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 @kernel(error_model="numpy")
 def first_through(claims, company, m, wait):
-    """Return the number of the person who passes a narrow place before person ``m`` the opposite way; -1: nobody does."""
+    """Return the number of the person who passes a narrow place before person ``m`` from the other side, or -1."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -162,7 +166,7 @@ def first_through(claims, company, m, wait):
 
 @kernel(error_model="numpy")
 def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
-    """Return the velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    """Return the velocity (x, z) [m/s] towards a point ahead on a path, slower before its end."""
     # with less room to a nearer point, as a straight line to a far one could cut a corner
     room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
     ahead = min(0.3 + max(room, 0.0), 0.9)
@@ -177,7 +181,7 @@ def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, dec
 
 @kernel(error_model="numpy")
 def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, their_lengths, their_along, inside, rules):
-    """Return the velocity (x, z) [m/s] of somebody who gives way: off the other's path, or back out of the passage."""
+    """Return the velocity (x, z) [m/s] of a person who gives way: off the other's path, or back out of the passage."""
     if inside:
         tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
         distance = math.hypot(tx - x, tz - z)
@@ -204,7 +208,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 def choose_velocity(
     sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
 ):
-    """Return the velocity (x, z) [m/s] that person ``m`` chooses, who wants ``(wx, wz)``.
+    """Return the velocity (x, z) [m/s] that person ``m`` chooses, given the wanted velocity ``(wx, wz)``.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
@@ -212,13 +216,13 @@ def choose_velocity(
         cell: Size of its cells [m].
         m: Number of the person within the crowd.
         places: Positions of all agents' discs (x, z) [N, 2] [m]; the first are those of the crowd's people.
-        velocities: Their velocities [N, 2] [m/s].
-        radii: Their radii [N] [m].
+        velocities: Velocities of the discs [N, 2] [m/s].
+        radii: Radii of the discs [N] [m].
         body: Motion of the crowd's people (`follow`) [M, 4].
-        stays: Who of them stays (`step_crowd`) [M, 3]; who is seated does not make way.
-        firsts: Number of the person to whom each of them gives way (`first_through`), -1: nobody [M].
-        wx: Wanted velocity [m/s].
-        wz: The same along z.
+        stays: Stays of the people, as in `step_crowd` [M, 3]; people who are seated do not make way.
+        firsts: Number of the person to whom each person gives way (`first_through`) [M]; -1: nobody.
+        wx: Wanted velocity along x [m/s].
+        wz: Wanted velocity along z [m/s].
         most: Greatest speed [m/s].
         furniture: Number of discs behind those of the crowd that the person takes for furniture or walks up to: those of
             robots, or none.
@@ -329,8 +333,8 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
         origin: Position of the grid.
         cell: Size of its cells [m].
         m: Number of the person within the crowd.
-        places: Positions of all discs [N, 2] [m]; those of people who have moved in this step are new already.
-        radii: Their radii [N] [m].
+        places: Positions of all discs [N, 2] [m]; for people who have already moved in this step, the new ones.
+        radii: Radii of the discs [N] [m].
         body: Heading [rad], turn rate [rad/s], speed [m/s] and direction of walking [rad] of each person [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
         looks: Place that each person faces while they stand or step (x, z), and 1 if there is one [M, 3].
@@ -446,7 +450,7 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
-        stays: Place that a person who stands faces (x, z), and 0: walks, -1: backs out, 1: stands as they come, 2: stands and
+        stays: Place (x, z) to face while standing, and 0: walks, -1: backs out, 1: stands as they come, 2: stands and
             faces it, `SEATED`: is where ``places`` say [M, 3].
         company: Number of the group with which each person walks, -1: none [M].
         moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].

@@ -1,4 +1,4 @@
-"""Traits of single people of a crowd, and the constants that all of them share."""
+"""Traits of individual people of a crowd, and the constants that all of them share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class CrowdSpec:
     """Constants of avoidance that all people of a crowd share, in SI units."""
 
     horizon_s: float = 2.0
-    """Time within which `orca` avoids a collision with somebody who keeps their velocity [s]."""
+    """Time within which `orca` avoids a collision with a person who keeps their velocity [s]."""
     wall_horizon_s: float = 0.5
     """Time within which `orca` avoids a collision with walls and furniture [s]."""
     guard_s: float = 0.6
@@ -31,11 +31,11 @@ class CrowdSpec:
     wait_m: float = 1.2
     """Distance before a narrow place at which people decide who goes first [m]."""
     aside_m: float = 0.9
-    """Distance that those who wait keep from the path of those who come through [m]."""
+    """Distance that people who wait keep from the path of people who come through [m]."""
     approach_m: float = 6.0
-    """Distance from which people who meet head-on keep to their side [m]."""
+    """Distance from which people who meet head-on move to their preferred side [m]."""
     approach_rad: float = 0.6
-    """Angle by which they keep to their side [rad]."""
+    """Angle by which people who meet head-on move to their preferred side [rad]."""
     desired_gain: float = 2.0
     """Social force (Moussaid et al. 2009, with the weights of HuNavSim's library lightsfm): weight of the desired velocity."""
     social_gain: float = 2.1
@@ -53,24 +53,26 @@ class CrowdSpec:
     n_prime: float = 3.0
     """Social force: angular range of an interaction for turning aside."""
     version: int = 4
-    """Version of the rules (`sim_kinematic.crowd.crowd.VERSION`). From 2 on, people of a walking group keep together only with
-    those whom they see, and go on at least slowly. From 4 on, people who should go back walk on where nothing of their path is
-    behind them, and members of a walking group do not pull at each other while somebody else is between them. From 5 on, a
-    place beside a wall is narrow only if there is no more room beside it either (`sim_kinematic.crowd.step.is_narrow`)."""
+    """Version of the rules (`sim_kinematic.crowd.crowd.VERSION`). From 2 on, people of a walking group keep together
+    only with members whom they see, and keep walking at least slowly. From 4 on, people who should go back walk on if
+    they are at the start of their path, and members of a walking group do not pull at each other while another person
+    is between them. From 5 on, a place beside a wall is narrow only if there is no more room beside it either
+    (`sim_kinematic.crowd.step.is_narrow`)."""
     way_horizon_s: float = 2.0
-    """Time within which `orca` avoids a collision with somebody who gives way to the person [s]."""
+    """Time within which `orca` avoids a collision with a person who gives way [s]."""
     aside_mps: float = 0.6
     """Speed of people who step aside for others [m/s]."""
     back_mps: float = 0.8
     """Speed of people who go back for others [m/s]."""
     way_share: float = 0.5
-    """Share of the change of velocity that `orca` expects of people to whom somebody gives way; that one makes the rest."""
+    """Share of the change of velocity that `orca` expects of people to whom another person gives way; that person makes
+    the rest."""
 
     @classmethod
     def of_version(cls, version: int, *, wary: bool = False) -> CrowdSpec:
-        """Return the constants of a version of the rules.
+        """Return the constants for a version of the rules.
 
-        People who are ``wary`` keep the horizons and speeds of version 2, and find narrow places as in version 4.
+        With ``wary``, the constants keep the horizons and speeds of version 2, and find narrow places as in version 4.
         """
         if wary or version < 3:
             return cls(version=min(version, 4))
@@ -79,7 +81,7 @@ class CrowdSpec:
 
     @property
     def numbers(self) -> Array:
-        """Numbers that the kernels take, in the order of the fields."""
+        """Constants that the kernels take, in the order of the fields."""
         return np.array(astuple(self))
 
 
@@ -96,20 +98,20 @@ class Traits(NamedTuple):
     """Radius of the person's disc, which others' discs must not overlap [m]: half of the width of the body with
     swinging arms."""
     side: float
-    """Side to which the person moves when meeting somebody head-on: 1 is right, -1 left."""
+    """Side to which the person moves when meeting another person head-on: 1 is right, -1 left."""
     patience_s: float
-    """Time without progress after which a person chooses another goal."""
+    """Time without progress after which a person chooses another goal [s]."""
 
 
 LEAST_SPEED, MOST_SPEED = 0.5, 1.5
-"""Smallest and largest free speed as multiples of the mean."""
+"""Smallest and largest free walking speed as multiples of the mean."""
 SPEED_SD, RIGHT_SHARE = 0.27, 0.85
-"""Standard deviation of free speeds over their mean: 0.35 m/s of 1.3 m/s, as between pedestrians of ETH and UCY. Share of
-people who keep to the right; measured crowds pass on their majority's side in 54 to 78% of encounters."""
+"""Standard deviation of free speeds over their mean (0.35 m/s of 1.3 m/s, as among the pedestrians of ETH and UCY); and
+share of people who keep to the right (measured crowds pass on their majority's side in 54 to 78% of encounters)."""
 
 
 def sample_traits(seed: int, number: int, mean_speed_mps: float) -> Traits:
-    """Return the traits of agent ``number`` in the episode with a seed, which determines them.
+    """Return the traits of agent ``number`` in an episode, which follow from its seed.
 
     Args:
         seed: Seed of the episode.

@@ -1,1 +1,1 @@
-"""Training environments: Gymnasium, vector, PettingZoo. Needs the extra ``env``."""
+"""Training environments for Gymnasium, its vector interface, and PettingZoo; they need the extra ``env``."""

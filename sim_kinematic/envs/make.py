@@ -1,4 +1,4 @@
-"""Function `h3data.make`: any task as a training environment."""
+"""Function `h3data.make`, which makes a training environment of any task."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Bank(Protocol):
-    """Episodes in arrays, from which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
+    """Episodes as arrays, from which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
 
     def __len__(self) -> int: ...
 
@@ -41,7 +41,7 @@ agents, **options)``. Tasks without an entry use ``any``, which also takes the `
 
 
 class MakeOptions(TypedDict, total=False):
-    """Options of `make` beyond task, scenes, number of worlds, device and agents."""
+    """Options of `make` other than task, scenes, number of worlds, device and agents."""
 
     render_mode: str | None
     autoreset_mode: str | None
@@ -134,9 +134,9 @@ def make(
 ) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any] | pettingzoo.ParallelEnv[str, Any, Any]:
     """Make a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
 
-    One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
-    environment, a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the task or
-    the device. An option that the task or the device does not have is refused.
+    One world makes a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
+    environment, and a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the
+    task or the device. An option that the task or the device does not have is refused.
 
     Args:
         task: Name (``social_nav``, ``rearrange``, or of an installed package), ``module:Class``, or a task.
@@ -145,10 +145,10 @@ def make(
         device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
         agents: Names of the agents that act (default: the robot).
         render_mode: ``rgb_array`` for ``render()``.
-        autoreset_mode: Beginning of the next episodes in ``num_envs`` worlds: ``NEXT_STEP`` (default), ``SAME_STEP`` or
+        autoreset_mode: Start of the next episodes in ``num_envs`` worlds: ``NEXT_STEP`` (default), ``SAME_STEP`` or
             ``DISABLED``, as of Gymnasium; not on a device.
         flatten: True if observations are one vector instead of a dictionary of arrays; not on a device.
-        observations: Names of sensors and images; each agent gets those that it has.
+        observations: Names of sensors and images; each agent gets the ones that its kind has.
         reward: Reward of social navigation: ``paper`` or ``habitat``.
         partner: Policy of the agents that do not act.
         level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
@@ -161,18 +161,18 @@ def make(
         rgb_size: Width and height of colour images [pixels].
         light: Light in colour images: ``baked`` or ``flat``.
         noise: Noise model by name of an observation (default: all are exact).
-        end_on_success: True if success terminates an episode even where the task goes on.
-        interrupts_when_close: True if agents of rearrangement may choose anew at every step while the other is close.
+        end_on_success: True if success terminates an episode even if the task continues.
+        interrupts_when_close: True if agents of rearrangement may choose again at every step while the other is near.
         threads: Threads that render images.
         dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
-        episodes: Number of episodes that worlds on a device draw from, or a bank of them.
+        episodes: Number of episodes that worlds on a device sample from, or a bank of them.
         episodes_seed: Seed of those episodes.
         graph: True if a CUDA device replays each step as one graph.
         compile: True if worlds on a device are compiled by torch.
-        **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
+        **task_options: Options of a custom task. Type checkers accept them as ``**{"name": value}``.
 
     Raises:
-        InputError: There is no such task, scenes or option.
+        InputError: The task, scenes or an option do not exist.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     options: dict[str, Any] = {
@@ -223,20 +223,20 @@ def make_env(
     flatten: bool = False,
     **options: Any,
 ) -> Any:
-    """Return a training environment of a task, with options by name, including those of its stepper or its device.
+    """Return a training environment of a task, with the options of its stepper or its device passed by name.
 
     Args:
         task: Name of a task, ``module:Class``, or a `Task`.
         scenes: Source of episodes (`sim_kinematic.tasks.sources.EpisodeSource`).
-        num_envs: W worlds as a Gymnasium vector environment; None is one world as a Gymnasium environment.
-        device: A torch device: worlds as tensors.
+        num_envs: Number W of worlds of a vector environment; None makes one world as a Gymnasium environment.
+        device: Torch device of the worlds, whose states are tensors; None simulates with NumPy.
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         flatten: True if observations are one vector instead of a dictionary of arrays.
         **options: Options of `sim_kinematic.envs.world_stepper.WorldStepper` and `sim_kinematic.envs.stepper.Options`.
 
     Raises:
-        InputError: There is no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
+        InputError: The task, scenes, agents or an option do not exist, or ``num_envs`` is combined with several agents.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     given = {"num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode, **options}

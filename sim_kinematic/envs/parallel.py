@@ -1,4 +1,4 @@
-"""PettingZoo parallel environment of any task: one world in which several agents act. Needs the extra ``env``."""
+"""PettingZoo parallel environment of any task: one world in which several agents act; it needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ except ImportError as error:
 class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Environment in which several agents act at every step and all get the same reward.
 
-    In tasks with skills, which differ in duration, a step lasts until one agent must choose. ``info[agent]["choosing"]`` is
-    true for agents whose next action counts; that of an agent that is busy has no effect. Where two must choose at one moment
-    and only the first was known to, a step of no length asks the second one.
+    In tasks with skills, which differ in duration, a step lasts until one agent must choose.
+    ``info[agent]["choosing"]`` is true for agents whose next action counts; that of an agent that is busy has no
+    effect. If two agents must choose at the same moment but only the first of them was known to, a step of no duration
+    asks the second one.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
 
     def __init__(self, stepper: Stepper, *, name: str, render_mode: str | None = None) -> None:
-        """Make an environment of a stepper for the task with this ``name``."""
+        """Make an environment of a stepper, for the task with this ``name``."""
         self.metadata = {**type(self).metadata, "name": f"h3data_{name}_v0"}  # type: ignore[misc]
         self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
@@ -58,7 +59,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
-        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``."""
+        """Start the next episode, or with ``seed`` the first of another run; there are no ``options``."""
         # unlike Gymnasium's, environments of PettingZoo have no generator of their own
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, np.random.default_rng()), -1
@@ -71,7 +72,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     def step(
         self, actions: dict[str, ArrayLike]
     ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Give all agents their actions.
+        """Carry out the actions of all agents.
 
         Raises:
             InputError: An action is missing or malformed; then nothing has moved.
@@ -94,11 +95,11 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         return result  # type: ignore[return-value]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the first agent and its surroundings, as `sim_kinematic.envs.single.TaskEnv.render`."""
+        """Return a picture of the first agent and its surroundings, like `sim_kinematic.envs.single.TaskEnv.render`."""
         return None if self.render_mode is None else self.stepper.picture(self.possible_agents[0], self._watcher)
 
     def close(self) -> None:
-        """Do nothing, as no resource is held open."""
+        """Do nothing, since the environment holds no open resource."""
 
     def _observed(self) -> dict[str, Observations]:
         """Return the observations of all agents by name."""

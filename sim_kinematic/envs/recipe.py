@@ -1,4 +1,4 @@
-"""Recipe of an environment, from which another process or Gymnasium makes it again."""
+"""Recipe of an environment, from which another process or Gymnasium can make it again."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EnvRecipe:
-    """Arguments of `sim_kinematic.envs.make.make` from which an environment is made again."""
+    """Arguments of `sim_kinematic.envs.make.make` from which an environment can be made again."""
 
     function: ClassVar[str] = "h3data:make"
-    """Reference to the function that makes environments. It is a name, as the function is in a layer above."""
+    """Reference to the function that makes environments, by name because the function is in a layer above."""
     task: Any
     """Task: a name, ``module:Class``, or a `Task`."""
     scenes: Any
     options: Mapping[str, Any]
 
     def make(self) -> Any:
-        """Make the environment again; it has not been reset."""
+        """Make the environment again, without resetting it."""
         return load_reference(self.function)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:
-        """Return the specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
+        """Return the specification from which ``gymnasium.make(env.spec)`` makes the environment again."""
         from gymnasium.envs.registration import EnvSpec
 
         name = self.task if isinstance(self.task, str) else self.task.name
@@ -51,7 +51,7 @@ class EnvRecipe:
 
 
 class PickledEnv:
-    """Environment that is pickled as its recipe, like Gymnasium's ``EzPickle``. The copy has to be reset first."""
+    """Environment that is pickled as its recipe, like Gymnasium's ``EzPickle``; the copy has to be reset first."""
 
     recipe: EnvRecipe | None = None
 

@@ -1,4 +1,4 @@
-"""Gymnasium environment of any task, with one world and one agent. Needs the extra ``env``."""
+"""Gymnasium environment of any task, with one world and one agent; it needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from sim_kinematic.sensing.watching import DebugRenderer
 
 Observations = dict[str, NDArray[Any]]
 ALL = np.ones(1, np.bool_)
-"""Mask of the only world."""
+"""Mask that selects the only world."""
 
 
 class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     """Environment of one world in which one agent acts.
 
-    ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
-    seed gives the same scenes, starts and waypoints on every machine. ``info`` has the task's facts; `reset` adds ``scene``
-    and ``episode_seed``.
+    ``reset(seed=s)`` starts run ``s`` with its episode 0; every `reset` without a seed starts its next episode. The
+    same seed gives the same scenes, starts and waypoints on every machine. ``info`` has the task's facts; `reset` adds
+    ``scene`` and ``episode_seed``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
@@ -42,7 +42,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``.
+        """Start the next episode, or with ``seed`` the first of another run; there are no ``options``.
 
         Raises:
             SceneError: No episode can be sampled in a scene.
@@ -60,13 +60,13 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         """Carry out an action.
 
         Raises:
-            InputError: The action is malformed, or no episode is going on; then nothing has moved.
+            InputError: The action is malformed, or no episode is running; then nothing has moved.
         """
         reward, terminated, truncated = self.stepper.step({self.agent: one_row(action)})
         return self._observed(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._informed()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Return the agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        """Return a picture of the agent from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
         return None if self.render_mode is None else self.stepper.picture(self.agent, self._watcher)
 
     def _observed(self) -> Observations:
@@ -82,7 +82,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
 
 
 def run_seed(seed: int | None, rng: np.random.Generator) -> int:
-    """Return the given seed, else one from Gymnasium's generator."""
+    """Return the given seed, or one from Gymnasium's generator if there is none."""
     return int(rng.integers(2**63)) if seed is None else int(seed)
 
 

@@ -1,4 +1,4 @@
-"""Interface of a task to environments: it begins episodes, takes actions and returns observations, worlds first.
+"""Interface of a task to environments: it starts episodes, takes actions and returns observations, with worlds first.
 
 `sim_kinematic.envs.world_stepper` is its implementation.
 """
@@ -35,10 +35,10 @@ class Options:
     rgb_size: tuple[int, int] | None = None
     """Width and height of colour pictures [pixels]; None is each camera's own."""
     light: LightMode = "baked"
-    """Light in colour pictures, those of ``render()`` included: ``baked``, from windows, sun and lamps, or ``flat``, the same
-    everywhere. Ids do not depend on it, and depth only in its last bits where there are colours too."""
+    """Light in colour pictures and in ``render()``: ``baked``, from windows, sun and lamps, or ``flat``, the same
+    everywhere. Ids do not depend on it, and depth depends on it only in its last bits if there are colours too."""
     noise: Mapping[str, NoiseModel] | None = None
-    """Noise model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; others are exact."""
+    """Noise models by the name of an observation, as in `sim_kinematic.sensing.sensor.with_noise`; others are exact."""
     end_on_success: bool = False
     """True if success terminates an episode even if the task's rules let it continue."""
     threads: int = 1
@@ -52,26 +52,26 @@ DEFAULTS = Options()
 
 
 class Stepper(Protocol):
-    """W worlds, each in an episode of its own."""
+    """W worlds of a task, each with its own episode."""
 
     task: Any
-    """Task, with its ``name``."""
+    """Task of the worlds, which has a ``name``."""
     spec: Any
-    """Rules of the task, with ``max_steps``."""
+    """Rules of the task, which include ``max_steps``."""
     worlds: int
     agents: tuple[str, ...]
     """Names of the agents that act."""
 
     def observation_space(self, agent: str) -> Dict:
-        """Return the space of one world's observations."""
+        """Return the space of an agent's observations in one world."""
         ...
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Return the space of one world's actions."""
+        """Return the space of an agent's actions in one world."""
         ...
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Begin episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W]; in all, the first time.
+        """Start the episodes ``indices`` [W] of the runs ``seeds`` [W] in the worlds selected by ``where`` [W].
 
         Raises:
             SceneError: No episode can be sampled in a scene.
@@ -79,7 +79,7 @@ class Stepper(Protocol):
         ...
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Carry out actions by the name of the agent, and return reward, terminated and truncated, [W] each.
+        """Carry out actions by the name of the agent; return reward, terminated and truncated, each [W].
 
         Raises:
             InputError: An action is malformed, or no episode has begun; then nothing has moved.
@@ -87,19 +87,19 @@ class Stepper(Protocol):
         ...
 
     def observe(self, agent: str) -> Arrays:
-        """Return observations of an agent, [W, ...] each and within its space."""
+        """Return the observations of an agent by name, each [W, ...] and within its space."""
         ...
 
     def info(self, agent: str) -> Info:
-        """Return facts beyond the observations by name, [W] each."""
+        """Return facts beyond the observations by name, each [W]."""
         ...
 
     def episode_info(self) -> Info:
-        """Return scene and seed of the episode in each world, [W] each."""
+        """Return the scene and seed of the episode in each world, each [W]."""
         ...
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """Return a picture of one world for people who watch, uint8 [480, 640, 3], by the ``watcher`` of this world.
+        """Return a picture of one world for people who watch, uint8 [480, 640, 3], by the world's ``watcher``.
 
         Raises:
             InputError: No episode has begun.
@@ -122,11 +122,11 @@ class FlatStepper:
         return getattr(self._stepper, name)
 
     def observation_space(self, agent: str) -> Space[Any]:
-        """Return a box [D]: the observations in the order of the names of their own space."""
+        """Return the space of observation vectors [D], in which the observations follow the order of their names."""
         return gymnasium.spaces.flatten_space(self._spaces[agent])
 
     def observe(self, agent: str) -> NDArray[Any]:
-        """Return observations of an agent as vectors, [W, D]."""
+        """Return the observations of an agent as one vector per world, [W, D]."""
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
         # by the space, not by `shown`: Gymnasium sorts the names of a dictionary space
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
@@ -134,10 +134,10 @@ class FlatStepper:
 
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return actions as float64 of this shape.
+    """Return actions as a float64 array of a given shape.
 
     Raises:
-        InputError: The actions are no numbers, have another shape, or one is not finite.
+        InputError: The actions are not numbers, have another shape, or one of them is not finite.
     """
     try:
         checked = np.asarray(actions, np.float64)

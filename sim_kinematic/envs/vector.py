@@ -1,4 +1,4 @@
-"""Gymnasium vector environment of any task, with W worlds and one agent in each. Needs the extra ``env``."""
+"""Gymnasium vector environment of any task, with W worlds and one agent in each; it needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sim_kinematic.sensing.watching import DebugRenderer
 class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Vector environment of W worlds. World w after ``reset(seed=s)`` equals a `TaskEnv` after ``reset(seed=s + w)``.
 
-    Worlds whose episode has ended begin the next one by Gymnasium's autoreset modes. NEXT_STEP (the default): the step after
-    the last one of a world ignores its action, begins the next episode, and gives its first observation and a reward of 0.
-    SAME_STEP: the last step already gives this observation, with the last one of the old episode in ``info["final_obs"]`` and
-    its facts in ``info["final_info"]``. DISABLED: ``reset(options={"reset_mask": ended})`` begins the next episodes, and a step
-    before that is an error.
+    Worlds whose episode has ended start the next one by Gymnasium's autoreset modes. NEXT_STEP (the default): the step
+    after the last step of an episode ignores its action, starts the next episode, and returns its first observation and
+    a reward of 0. SAME_STEP: the last step of an episode already returns the first observation of the next one, with
+    the last observation of the old episode in ``info["final_obs"]`` and its facts in ``info["final_info"]``. DISABLED:
+    ``reset(options={"reset_mask": ended})`` starts the next episodes, and a step before that is an error.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's classes have it, and each environment its own
@@ -39,7 +39,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = gymnasium.vector.AutoresetMode.NEXT_STEP,
     ) -> None:
-        """Put worlds behind Gymnasium's interface.
+        """Wrap worlds in Gymnasium's vector interface.
 
         Args:
             stepper: the worlds.
@@ -70,12 +70,13 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:  # type: ignore[override]
-        """Begin the next episode in all worlds; with a seed the first of the runs seed, seed + 1, ..., or of those listed.
+        """Start the next episode in all worlds, or with ``seed`` the first episode of other runs.
 
-        ``options["reset_mask"]`` (bool [W]) chooses worlds; the others go on, and ``info`` has masks without them.
+        The runs have the seeds ``seed``, ``seed + 1`` and so on, or those in a list. ``options["reset_mask"]`` (bool
+        [W]) selects the worlds to reset; the others continue, and the masks in ``info`` leave them out.
 
         Raises:
-            InputError: The seeds or the mask do not fit the number of worlds, or some worlds have not begun yet.
+            InputError: The seeds or the mask do not fit the number of worlds, or some worlds have no episode yet.
         """
         single = seed if isinstance(seed, int | np.integer) else None
         # Gymnasium's generator takes one seed; those of a list belong to single worlds
@@ -126,7 +127,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:  # type: ignore[override]
-        """Carry out actions [W, ...], or begin the next episode of worlds whose episode has ended.
+        """Carry out actions [W, ...], or start the next episode in worlds whose episode has ended.
 
         Raises:
             InputError: The actions are malformed; then nothing has moved.
@@ -170,7 +171,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     # --- attributes of the worlds -------------------------------------------------------------------------------------
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute of each world: one that `set_attr` has set, or one that all worlds share.
+        """Return an attribute of each world: one set by `set_attr`, or one that all worlds share.
 
         Raises:
             AttributeError: the worlds have no such attribute.
@@ -182,11 +183,11 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return (getattr(self, own),) * self.num_envs
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return what a method of each world gives, or its attribute. Only ``render`` differs from world to world.
+        """Return the result of calling a method of each world, or an attribute of each world, by name.
 
         Raises:
             AttributeError: the worlds have no such method or attribute.
-            InputError: it would move single worlds.
+            InputError: the method would move single worlds.
         """
         if name == "render":
             return self.render() or (None,) * self.num_envs
@@ -226,7 +227,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return int(self.stepper.spec.max_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Return pictures of each world's agent and its surroundings, W pictures as those of `TaskEnv.render`."""
+        """Return a picture of each world's agent and its surroundings, like those of `TaskEnv.render`."""
         if self.render_mode is None:
             return None
         return tuple(self.stepper.picture(self.agent, watcher, w) for w, watcher in enumerate(self._watchers))
@@ -243,7 +244,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
 
 
 def checked_autoreset_mode(mode: str | gymnasium.vector.AutoresetMode) -> gymnasium.vector.AutoresetMode:
-    """Return a mode of Gymnasium by its name or value.
+    """Return a Gymnasium autoreset mode, given the mode, its name or its value.
 
     Raises:
         InputError: There is no such mode.

@@ -1,8 +1,9 @@
 """Stepper of W worlds of any task.
 
-Agents who drive and walk are moved in all worlds at once, and a step of the environment is one step of the simulation. Agents
-with skills (`sim_kinematic.tasks.skills`) are asked in turn, in each world by itself. Their action is a skill, and a step of
-the environment lasts until an agent that acts must choose again; on the lower layer it lasts one step of the simulation.
+Agents who drive and walk are moved in all worlds at once, and a step of the environment is one step of the simulation.
+Agents with skills (`sim_kinematic.tasks.skills`) are asked in turn, separately in each world. Their action is a skill,
+and a step of the environment lasts until an agent that acts must choose again; on the lower layer it lasts one step of
+the simulation.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ OTHER = {"robot": "human", "human": "robot"}
 
 
 class Turns:
-    """World whose agents choose in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
+    """World whose agents choose in turn; agents in ``acting`` are controlled from outside, the others by policies."""
 
     def __init__(self, play: WorldRollout, acting: Sequence[int]) -> None:
         self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
@@ -64,7 +65,7 @@ class Turns:
 
     @property
     def choosing(self) -> list[int]:
-        """Agents outside whose next action counts: the one that must choose, and those that choose in the same step."""
+        """Return the agents controlled from outside whose next action counts in this step."""
         if self._loop.asked is None:
             return []
         team = self.play.team
@@ -72,7 +73,7 @@ class Turns:
         return [k for k in self._acting if k == now[0] or (k in now and team.controllers[k].is_free)]
 
     def go_on(self, chosen: dict[int, Action]) -> None:
-        """Play until an agent outside must choose that is not in ``chosen``, or to the end of the episode."""
+        """Play until an agent controlled from outside that is not in ``chosen`` must choose, or to the end."""
         self.steps, self.reward = 0, 0.0
         loop, play = self._loop, self.play
         while not loop.over:
@@ -113,14 +114,14 @@ class WorldStepper:
 
         Args:
             task: the task.
-            scenes: as for `EpisodeSource`.
+            scenes: homes, in the forms that `EpisodeSource` takes.
             agents: names of the agents that act; the others follow ``partner``.
             worlds: number of worlds W.
             spec: rules (default: the task's).
             roster: all agents of a world (default: the task's roster).
             partner: policy of the agents that do not act, by agent or kind (default: the task's); of agents with skills also a
                 function that makes one from an episode's seed.
-            observations: names of sensors and pictures; each agent gets those that its kind has.
+            observations: names of sensors and pictures; each agent gets the ones that its kind has.
             robot: body of robots named by their kind.
             human: body of people named by their kind.
             options: pictures and noise.
@@ -150,11 +151,11 @@ class WorldStepper:
             self._check_partner(k)
         self.worlds = worlds
         self.plays: list[WorldRollout] = []
-        """One rollout of all worlds, or with skills one of each world."""
+        """Rollouts: one of all worlds, or one per world if agents have skills."""
         if not task.control.has_skills:
             self.plays = [WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)]
         self.turns: list[Turns] = []
-        """The worlds of agents with skills."""
+        """Worlds whose agents have skills and choose in turn."""
         self._walkers: list[list[Any]] = [[] for _ in range(worlds)]
         self._targets: dict[int, Array] = {k: np.zeros((worlds, 2)) for k in self._others}
         self._home = np.full(worlds, -1)
@@ -210,7 +211,7 @@ class WorldStepper:
 
     @property
     def play(self) -> WorldRollout:
-        """Rollout of all worlds, or of the first one.
+        """Rollout of all worlds, or of the first world if agents have skills.
 
         Raises:
             InputError: No episode has begun.
@@ -225,9 +226,11 @@ class WorldStepper:
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Return the space of base velocities, -1..1 of the limits: [2], or [3] for a robot that can move sideways.
+        """Return the space of an agent's actions in one world.
 
-        For agents with skills it is the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
+        An action is a base velocity in -1..1 of the limits, [2], or [3] for a robot that can move sideways. For agents
+        with skills, an action is the number of a choice; on the lower layer it is base [2], arm joints [n] and grip [1]
+        in -1..1.
         """
         number = self.numbers[agent]
         if not self.task.control.has_skills:
@@ -244,9 +247,9 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Sample episodes for the worlds ``where`` [W] and begin them. If one cannot be sampled, no world changes.
+        """Sample episodes for the worlds ``where`` [W] and start them; if one cannot be sampled, no world changes.
 
-        Agents with skills then go on until one that acts must choose.
+        Agents with skills are then simulated until one that acts must choose.
         """
         begun = bool(self.plays and self.plays[0].episodes)
         rows = np.flatnonzero(where) if begun else np.arange(self.worlds)
@@ -308,8 +311,8 @@ class WorldStepper:
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Apply the actions [W, n] of the agents that act, and let the others follow their policies.
 
-        Agents with skills play on until one that acts must choose again, or to the end; worlds whose episode is over give
-        zeros, and actions count for the agents that are `choosing`.
+        Agents with skills are simulated until one that acts must choose again, or to the end. Worlds whose episode is
+        over return zeros, and actions count only for the agents that are `choosing`.
         """
         if self.task.control.has_skills:
             return self._step_turns(actions)
@@ -351,7 +354,7 @@ class WorldStepper:
         return reward, np.array([word not in ("", "max_steps") for word in ended]), np.array(ended) == "max_steps"
 
     def _chosen(self, play: WorldRollout, number: int, action: ArrayLike | Action) -> Action:
-        """Return the choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
+        """Return the choice that a row of actions [1, ...] encodes; an `Action` is returned unchanged."""
         if isinstance(action, Action):
             return action
         body, there = self.source.roster[number].body, play.team.choices(number)
@@ -424,7 +427,7 @@ class WorldStepper:
     def info(self, agent: str) -> Info:
         """Return facts of the task about all worlds (`Task.info_of`), the same for every agent.
 
-        For an agent with skills they are its last skill, the objects, and the choices that are possible now.
+        For an agent with skills, the facts are its last skill, the objects, and the choices that are possible now.
         """
         play = self.play
         if not self.task.control.has_skills:
@@ -450,12 +453,12 @@ class WorldStepper:
         }
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """Render one world for people who watch, uint8 [480, 640, 3]."""
+        """Return a picture of one world for people who watch, uint8 [480, 640, 3]."""
         self._require_begun()
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
-        """Return the task, scenes, agents and number of worlds in a few words."""
+        """Return a short description of the task, scenes, agents and number of worlds."""
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}

@@ -1,7 +1,7 @@
 """Locomotion of people: to waypoints (`walk_humans`) or by commands of speed and turn (`drive_people`).
 
-Both drive one walking cycle (`step_cycle`). It is played by distance, so planted feet stay put: `cycle_phase` says where in
-its clip a person is.
+Both functions drive one walking cycle (`step_cycle`), which is played by distance so that planted feet do not slide.
+`cycle_phase` returns the phase of a person in the motion clip.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 @kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """Move a waypoint walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
+    """Move a waypoint walker by one step and return ``(x, z, heading, walked)``.
+
+    The person turns on the spot first and never overshoots the waypoint.
+    """
     dx, dz = goal_x - x, goal_z - z
     distance = math.hypot(dx, dz)
     if distance <= arrive:
@@ -43,9 +46,10 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
 
 @kernel(error_model="numpy")
 def step_cycle(distance, set_off, blend, walked, rate):
-    """Return ``(distance, set_off, blend)`` of one person after a step in which they ``walked`` so far [m], negative backwards.
+    """Return the walking cycle ``(distance, set_off, blend)`` of a person after a step of ``walked`` [m].
 
-    At a blend above 0.5 one foot stands (`h3data.bodies.people.kernels.legs.settle`), so a walk begins there.
+    ``walked`` is negative for a step backwards. At a blend above 0.5 one foot stands
+    (`h3data.bodies.people.kernels.legs.settle`), so a walk starts there.
     """
     # the phase stays while the legs come to rest, so the feet do not slide
     if walked == 0.0:
@@ -96,7 +100,7 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
-    """Move a person in all their worlds to their place after a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    """Move a person in all their worlds to ``xz`` [W, 2] [m] and ``heading`` [W] [rad] after a step, in place."""
     # the cycle goes on by the distance covered, which is known only after the move
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading
@@ -114,16 +118,16 @@ def drive_people(
     backwards: bool = False,
     others: Array | None = None,
 ) -> NDArray[np.bool_]:
-    """Move a person in all their worlds by ``action`` [W, 2], in place: a disc that slides along obstacles.
+    """Move a person, a disc that slides along obstacles, by ``action`` [W, 2] in all their worlds, in place.
 
     Args:
-        state: The person.
-        free: The map.
+        state: State of the person.
+        free: Free floor of the home.
         action: Forward and left turn, -1..1 of the walker's speed and turn rate.
         spec: Settings of the person's walk.
         radius_m: Radius of the disc.
         backwards: True if a negative speed walks backwards; False if it stands still.
-        others: Discs ``(x, z, radius)`` of others, along which it slides too, [W, N, 3]; None: it walks through them.
+        others: Discs ``(x, z, radius)`` of others to slide along, [W, N, 3]; None: the person walks through them.
 
     Returns:
         True for people who touched an obstacle or others, [W].
@@ -173,5 +177,5 @@ def _disc(speed_mps: float, turn_rad_s: float, radius_m: float, backwards: bool)
 
 
 def cycle_phase(clip: Clip, distance: NDArray[np.float64], set_off: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the phases [...], 0..1, of a walking clip at distances walked in all and where the walk began [...] [m]."""
+    """Return the phases [...], 0..1, of a walking clip, given the distances walked in all and at the last start [m]."""
     return (clip.start_phase + (distance - set_off) / clip.stride_m) % 1.0

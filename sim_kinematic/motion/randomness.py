@@ -8,9 +8,9 @@ import numpy as np
 
 
 def generator(seed: int, stream: str, *, world: int = 0, step: int = 0) -> np.random.Generator:
-    """Return a fresh Philox generator for one purpose (``stream``) of one world at one step.
+    """Return a new Philox generator for one purpose (``stream``) in one world at one step.
 
-    Nothing is carried from step to step, so an episode can be continued from any row of its recording.
+    No state is carried from step to step, so an episode can be continued from any row of its recording.
     """
     # not `hash`, which differs from process to process
     digest = hashlib.blake2b(f"{stream}/{world}".encode(), digest_size=8).digest()
@@ -20,5 +20,5 @@ def generator(seed: int, stream: str, *, world: int = 0, step: int = 0) -> np.ra
 
 
 def episode_seed(seed: int, index: int) -> int:
-    """Return the seed of episode ``index`` of a dataset with ``seed``: 63 bits, no two equal in practice."""
+    """Return the seed of episode ``index`` of a dataset with ``seed``: 63 bits, in practice never the same twice."""
     return int(generator(seed, "episode", step=index).integers(2**63))

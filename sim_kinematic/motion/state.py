@@ -1,6 +1,6 @@
 """State of W worlds, each with the same robots, people and O objects, as structs of arrays with worlds first.
 
-One world is W = 1. A world may have any number of robots and people, also none.
+A single world has W = 1. A world may have any number of robots and people, including none.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
 
 NOBODY = -1
-"""Number that stands for no agent, for objects that nobody holds."""
+"""Number that stands for no agent, as the holder of objects that no agent holds."""
 ROBOT, HUMAN = 0, 1
-"""Indices of the agents if there is one robot and one person. In general robots come first, then people."""
+"""Indices of the agents if there is one robot and one person; in general, robots come first, then people."""
 
 Worlds = NDArray[np.bool_] | NDArray[np.integer] | Sequence[int] | slice
-"""Selection of worlds: numbers or a mask, which copy, or a slice, which gives views."""
+"""Selection of worlds: indices or a mask, which copy, or a slice, which gives views."""
 
 
 class _Arrays:
@@ -30,11 +30,11 @@ class _Arrays:
 
     @property
     def worlds(self) -> int:
-        """W."""
+        """Number W of worlds."""
         return len(self.arrays()[0])
 
     def arrays(self) -> list[NDArray[Any]]:
-        """Return all its arrays, those of agents first, in a fixed order."""
+        """Return all arrays of the struct, those of agents first, in a fixed order."""
         return list(vars(self).values())
 
     def take(self, worlds: Worlds) -> Self:
@@ -44,12 +44,12 @@ class _Arrays:
         return type(self)(**{name: a.take(worlds, 0) if numbers else a[worlds] for name, a in vars(self).items()})
 
     def put(self, worlds: Worlds, other: Self) -> None:
-        """Overwrite some of the worlds by all those of ``other``, or by its only one."""
+        """Overwrite some of the worlds with all worlds of ``other``, or with its only one."""
         for mine, theirs in zip(self.arrays(), other.arrays(), strict=True):
             mine[worlds] = theirs
 
     def copy(self) -> Self:
-        """Return a copy with arrays of its own."""
+        """Return a copy with its own arrays."""
         other = object.__new__(type(self))  # a step copies several: checks of arguments would take most of the time
         vars(other).update({name: array.copy() for name, array in vars(self).items()})
         return other
@@ -62,12 +62,12 @@ class RobotState(_Arrays):
     xz: NDArray[np.float64]
     """Base position on the floor [m], shape [W, 2]."""
     heading: NDArray[np.float64]
-    """Heading [rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded
-    quaternions keep their signs continuous in time."""
+    """Heading [rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is the negative of that of h, so
+    the signs of recorded quaternions are continuous in time."""
     contact: NDArray[np.bool_]
     """True if the base touched an obstacle in the last step, shape [W]."""
     joints: NDArray[np.float64]
-    """Joint positions [rad or m], shape [W, J]; J = 0 where no arm moves."""
+    """Joint positions [rad or m], shape [W, J]; J is 0 if no arm moves."""
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
@@ -91,7 +91,8 @@ class HumanState(_Arrays):
     distance: NDArray[np.float64]
     """Distance walked since the start [m], which determines the phase of the walking cycle; shape [W]."""
     set_off: NDArray[np.float64]
-    """Value of `distance` when the person last set off from standing [m], at which the cycle began anew; shape [W]."""
+    """Value of `distance` when the person last set off from standing [m], at which the cycle started again; shape
+    [W]."""
     blend: NDArray[np.float64]
     """Share of walking in the motion: 0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
@@ -118,7 +119,7 @@ AgentState = RobotState | HumanState
 
 
 def pool_people(state: WorldState) -> tuple[WorldState, HumanState]:
-    """Return a copy of a state whose people's arrays lie beside each other, and views of them as one, [P * W].
+    """Return a copy of a state whose people's arrays are adjacent in memory, and views of them as one, [P * W].
 
     Person ``p`` of world ``w`` is row ``p * W + w``.
     """
@@ -134,14 +135,14 @@ def pool_people(state: WorldState) -> tuple[WorldState, HumanState]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldState(_Arrays):
-    """State of W worlds. A step changes the arrays in place; `copy` makes a snapshot."""
+    """State of W worlds, whose arrays a step changes in place; `copy` makes a snapshot."""
 
     robots: tuple[RobotState, ...]
     people: tuple[HumanState, ...]
     object_pose: NDArray[np.float64]
     """Pose (pose7) of each object that can be taken, shape [W, O, 7]."""
     held_by: NDArray[np.int64]
-    """Number of the agent that holds each object (its index in `agents`), `NOBODY` where none does, shape [W, O]."""
+    """Number of the agent that holds each object (its index in `agents`), or `NOBODY`, shape [W, O]."""
     grip_pose: NDArray[np.float64]
     """Pose (pose7) of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
     joint_pos: NDArray[np.float64]
@@ -191,7 +192,7 @@ class WorldState(_Arrays):
 
     @cached_property
     def agents(self) -> tuple[AgentState, ...]:
-        """Agents: robots, then people. An agent's index here is its number."""
+        """Agents of the worlds, robots first, then people; an agent's index here is its number."""
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
@@ -200,7 +201,7 @@ class WorldState(_Arrays):
         return [array for agent in self.agents for array in agent.arrays()] + own
 
     def copy(self) -> WorldState:
-        """Return a copy with arrays of its own."""
+        """Return a copy with its own arrays."""
         # by numbers, which copy: a slice would give views
         return self.take(np.arange(self.worlds))
 

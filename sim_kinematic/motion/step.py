@@ -1,9 +1,9 @@
 """Step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
 
-Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
-(spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
-grid. Sliding is strict: a move that cannot be made free of penetration is given up part by part
-(research: navigation-and-stepping 3.2); or, where the spec says so, that of another package (`SLIDES`).
+A velocity command moves the base first along its old heading and then turns it, as in Habitat (spec/habitat.md 0). The
+base is a row of discs, each of which must keep its radius from every obstacle of the signed distance grid. Sliding is
+strict: a move that cannot be made free of penetration is given up part by part (research: navigation-and-stepping 3.2).
+The spec can choose the sliding of another package instead (`SLIDES`).
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
-"""Share of their speed at which robots move on stairs, in the plan, and the distance before stairs from which on they
+"""Share of their speed, in the plan view, at which robots move on stairs; and distance before stairs from which on they
 slow down [m]."""
 SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
 """Alternatives to strict sliding along walls, by name: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
-"""Number of iterations in which discs push each other apart, and the distance that counts as none."""
+"""Number of iterations in which discs push each other apart, and overlap below which they count as apart [m]."""
 
 
 @kernel(error_model="numpy")
 def wrap_angle(angle):
-    """Return the angle in [-pi, pi)."""
+    """Return the angle in [-pi, pi) [rad]."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
@@ -51,13 +51,13 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 @kernel(error_model="numpy", inline="always")
 def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
-    """Return whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
+    """Return whether all discs of the base keep ``radius`` [m] from every obstacle, faster than `least_clearance`."""
     return are_clear(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets, radius)
 
 
 @kernel(error_model="numpy", inline="always")
 def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
-    """Return the same as `is_clear` of a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the result of `is_clear` for a heading whose cosine ``c`` and sine ``s`` are known."""
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
             return False
@@ -94,16 +94,17 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 
 @kernel(error_model="numpy")
 def integrate(x, z, heading, speed, lateral, turn, dt):
-    """Return the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
+    """Return the pose ``(x, z, heading)`` of a base after a step of free motion.
 
-    ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
+    The base moves along its old axes, then turns (spec/habitat.md 0). ``speed`` [m/s] is along its x axis, ``lateral``
+    [m/s] to its left, and ``turn`` [rad/s] to the left.
     """
     return integrate_along(x, z, heading, math.cos(heading), math.sin(heading), speed, lateral, turn, dt)
 
 
 @kernel(error_model="numpy", inline="always")
 def integrate_along(x, z, heading, c, s, speed, lateral, turn, dt):
-    """Return the same as `integrate` for a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return the result of `integrate` for a heading whose cosine ``c`` and sine ``s`` are known."""
     # positive angles turn from x towards -z (docs conventions), hence the minus in z
     return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
 
@@ -155,11 +156,11 @@ def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
         sdf: signed distances of the floor's grid [m].
         origin: position of the grid.
         cell: size of its cells [m].
-        x: position of the disc.
-        z: position of the disc.
-        tx: position that it moves towards.
-        tz: position that it moves towards.
-        discs: other discs.
+        x: position of the disc along x [m].
+        z: position of the disc along z [m].
+        tx: position that it moves towards along x [m].
+        tz: position that it moves towards along z [m].
+        discs: other discs ``(x, z, radius)`` [N, 3] [m].
         radius: radius of the disc [m].
         limit: least clearance from walls [m].
 
@@ -206,7 +207,7 @@ def keep_worlds_apart(sdf, origin, cell, before, xz, contact, discs, radius, lim
 
 @kernel(error_model="numpy")
 def first_not_finite(rows):
-    """Return the first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
+    """Return the index of the first row of ``rows`` [W, n] with NaN or infinity, or -1 if there is none."""
     for w in range(rows.shape[0]):
         for k in range(rows.shape[1]):
             if not math.isfinite(rows[w, k]):
@@ -216,7 +217,7 @@ def first_not_finite(rows):
 
 @kernel(error_model="numpy")
 def velocities(action, limits):
-    """Return velocities of an action [2 or 3], each component clipped to -1..1 of its limit.
+    """Return the velocities that an action [2 or 3] stands for, each component clipped to -1..1 of its limit.
 
     ``limits`` are speed [m/s], lateral speed [m/s], turn rate [rad/s], and the share of the speed allowed backwards.
     Returns ``(speed, lateral, turn)``.
@@ -231,7 +232,7 @@ def velocities(action, limits):
 def drive_worlds(
     sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance, touch, most
 ):
-    """Apply `drive_base` in W worlds, in place; return the first with an action [W, 2 or 3] that is not finite, -1 if none."""
+    """Apply `drive_base` in W worlds, in place; return the first world with a non-finite action [W, 2 or 3], or -1."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
@@ -357,14 +358,14 @@ def _stairs_speeds(heights, xz, out):
 
 
 def stairs_speeds(heights: np.ndarray, xz: np.ndarray) -> np.ndarray:
-    """Return the shares [W] of its usual speed of a robot at ``xz`` [W, 2]: less on stairs, gradually less before them."""
+    """Return the shares [W] of its usual speed of a robot at ``xz`` [W, 2]: less on and before stairs."""
     shares = np.empty(len(xz))
     _stairs_speeds(heights, xz, shares)
     return shares
 
 
 def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:
-    """Return discs ``(x, z, radius)`` [W, D, 3] of a base with its discs at D offsets along its axis, at ``xz`` [W, 2]."""
+    """Return the discs ``(x, z, radius)`` [W, D, 3] of a base at ``xz`` [W, 2], centred at D offsets along its axis."""
     along = _offsets(tuple(offsets_m))
     discs = np.empty((len(xz), len(along), 3))
     discs[:, :, 0] = xz[:, :1] + np.cos(heading)[:, None] * along
@@ -380,7 +381,7 @@ def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
 
 
 def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
-    """Return ``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
+    """Return ``width`` numbers for each world, float64 [W, width], as the kernels check no bounds."""
     rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):

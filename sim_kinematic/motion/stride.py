@@ -1,9 +1,9 @@
 """Walking along a path with smooth starts, stops and curves.
 
-Each step is a pure pursuit of the path: the person turns towards a point ahead on it and walks in the direction of
-view, a little sideways, and slower while the point is not ahead. Turn rate and speed change no faster than `StrideSpec`
-says. The body's disc is pushed out of walls and furniture like a driven one (`sim_kinematic.motion.step.push_out`), so
-that a curve never cuts into them.
+Each step is a pure pursuit of the path: the person turns towards a point ahead on it and walks in the direction of view
+or a little sideways, and more slowly while the point is not ahead. Turn rate and speed change no faster than
+`StrideSpec` says. The disc of the body is pushed out of walls and furniture like that of a driven person
+(`sim_kinematic.motion.step.push_out`), so that a curve never cuts into them.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from sim_kinematic.motion.step import push_out, wrap_angle
 PROGRESS_M = 0.02
 """Length of the steps in which the place on the path is searched [m]."""
 CREEP_MPS, SHARP_RAD = 0.1, 0.6
-"""Speed below which people walk in any direction at once [m/s], and change of direction for which they stop [rad]."""
+"""Speed below which people walk in any direction at once [m/s], and change of direction at which they stop [rad]."""
 FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
-"""Limits for turning first: people whose heading differs by the angle from their direction turn first if something is
-nearer than the room to the floor at the distance ahead. Legs that swing while they turn in a curve would otherwise
-enter it."""
+"""Limits for turning before walking: a distance ahead [m], a room [m] and an angle [rad]. People whose heading differs
+by more than the angle from their direction turn first if the room at the distance ahead is smaller. Otherwise legs that
+swing while people turn in a curve would enter the obstacle."""
 TURN_ROOM_M, TURN_RAD = 0.1, 1.2
-"""Room beside a person, and turn, for turning on the spot: with less room and a larger turn, people turn where they
-stand. Creeping along a U-turn brought the broadest body's elbows 5 cm into the wall beside it."""
+"""Room beside a person [m] and turn [rad] for turning on the spot: with less room and a larger turn, people turn where
+they stand. Walking slowly along a U-turn would bring the elbows of the broadest body 5 cm into the wall."""
 SHOULDER_M = 0.05
-"""Distance beyond their radius that people who cut a corner keep, where there is room [m]: the upper arms of the
-broadest body were 3 cm in door posts."""
+"""Distance beyond their radius that people who cut a corner keep, where there is room [m]: without it, the upper arms
+of the broadest body were 3 cm inside door posts."""
 FACE_M, FACE_RAD = 0.6, 0.8
 """Length of the end of a path on which people turn to their target [m], and angle by which they walk sideways there
-[rad]. Those who arrived first and turned then stood turning in 3% of the steps of rearrangement."""
+[rad]. People who turned only after they arrived spent 3% of the steps of rearrangement turning."""
 STAIRS_SHARE = 0.5
-"""Share of their speed with which people climb stairs, measured in the plan."""
+"""Share of their speed with which people climb stairs, measured in the plan view."""
 
 
 @kernel(error_model="numpy")
 def point_along(path, cumulative, along):
-    """Return the point of the path ``along`` [m] from its beginning."""
+    """Return the point (x, z) of a path [K, 2] at the distance ``along`` [m] from its start."""
     k = 1
     while k < len(path) - 1 and cumulative[k] < along:
         k += 1
@@ -79,7 +79,7 @@ def _bearing(x, z, heading, to_x, to_z):
 
 @kernel(error_model="numpy")
 def progress_along(path, cumulative, along, x, z):
-    """Return the distance along the path [m] of the nearest point that is not behind ``along``."""
+    """Return the distance along the path of the point nearest to (x, z) that is not behind ``along`` [m]."""
     total = cumulative[-1]
     px, pz = point_along(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
@@ -96,9 +96,10 @@ def progress_along(path, cumulative, along, x, z):
 
 @kernel(error_model="numpy")
 def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
-    """Return the end of a step from (x, z) towards (nx, nz), at most ``most`` [m] long, ``radius`` away from obstacles.
+    """Return the end of a step from (x, z) towards (nx, nz) that keeps ``radius`` [m] away from obstacles.
 
-    Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
+    The step is at most ``most`` [m] long. Returns ``(x, z, moved, clearance)``: the position, the length that obstacles
+    allowed, and the least clearance [m].
     """
     sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, 6)
     moved = math.hypot(sx - x, sz - z)
@@ -118,13 +119,13 @@ def stride_step(
         sdf: signed distances of the floor's grid [m].
         origin: position of the grid.
         cell: size of its cells [m].
-        heights: heights of the floor.
+        heights: heights of the floor [m].
         radius: radius of the body [m].
         path: points of the path [K, 2].
         cumulative: length of the path up to each point [K] [m].
         goes: whether the person walks; otherwise they slow down to a stand.
         halts: whether they stop at the last point; otherwise they pass it.
-        facing: heading to turn to from `FACE_M` before the end on [rad]; none if NaN.
+        facing: heading to turn to from `FACE_M` before the end on [rad]; NaN: none.
         state: x, z, heading, speed, turn rate, distance along the path, angle between walking and view, largest distance
             along the path so far, steps without progress, and whether the person follows the path itself with all its
             corners.
@@ -294,10 +295,10 @@ def stride_track(
 
 
 class Strider:
-    """Person who walks along a path, step by step; one who waits brakes and sets off again."""
+    """Person who walks along a path step by step, and who can brake, wait and set off again."""
 
     def __init__(self, free: FreeSpace, spec: WalkerSpec, *, radius_m: float = 0.25, halts: bool = False) -> None:
-        """``halts``: they stop on the last point of a path; else they pass it.
+        """Create a walker without a path; with ``halts``, it stops at the last point of a path, else it passes it.
 
         Raises:
             InputError: the walker has no `StrideSpec`.
@@ -321,7 +322,7 @@ class Strider:
         self.arrived = True
 
     def walk_on(self, free: FreeSpace) -> None:
-        """Use another floor for the same path."""
+        """Continue the same path on another floor."""
         self.free = free
         self._grid = free.sdf, free.origin, free.cell_m, free.heights, float(self._radius_m)
 
@@ -360,14 +361,14 @@ class Strider:
         self.arrived = False
 
     def walk(self, gait: HumanState, *, goes: bool = True) -> Array:
-        """Move the gait of one person by a step, in place; return what it was: x, z, heading, distance, set off, blend [6]."""
+        """Move the gait of one person by a step, in place; return its six numbers before the step [6]."""
         told, before = (goes, self._halts, self._facing, self._state, *self._rules), np.empty(6)
         moved = gait.xz, gait.heading, gait.distance, gait.set_off, gait.blend, self._blend_rate
         self.arrived = self.free.entries(stride_gait, *self._grid, self._path, self._cumulative, *told, *moved, before)
         return before
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
-        """Return the steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
+        """Return the steps (x, z, heading) [n, 3] to the end of the path, at most ``most`` of them."""
         state, track = self._state, np.empty((most, 3))
         state[0], state[1], state[2] = xz[0], xz[1], heading
         count = stride_track(*self._grid, self._path, self._cumulative, self._halts, state, *self._rules, track)

@@ -1,1 +1,1 @@
-"""Policies, which decide for an agent: scripts, planners, recorded tracks, networks."""
+"""Policies that decide for agents: scripts, planners, recorded tracks and networks."""

@@ -72,7 +72,7 @@ class AssignedPolicy(NamedTuple):
     kind: str
     """Kind of agent: ``robot`` or ``human``."""
     plan: str = ""
-    """Plan that a planner follows in this episode; empty for others."""
+    """Plan that a planner follows in this episode; empty for other policies."""
 
     @property
     def is_external(self) -> bool:
@@ -81,7 +81,7 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def takes_commands(self) -> bool:
-        """Return whether commands from outside decide, live or from a recording that is simulated again."""
+        """Return whether the agent follows commands from outside, live or from a recording that is simulated again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
     @property
@@ -91,7 +91,7 @@ class AssignedPolicy(NamedTuple):
 
 
 def works(policy: AssignedPolicy) -> HandWork | None:
-    """Return what the hands of an agent do; None: they handle nothing."""
+    """Return the state of the hands of an agent; None if they handle nothing."""
     return getattr(policy.policy, "hands", None)
 
 
@@ -102,29 +102,33 @@ def is_address(name: str) -> bool:
 
 
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
-"""The name of a policy, ``weights:FILE``, ``module:name``, ``ws://host:port``; a policy; a function ``(view, base)``;
-`External` for somebody who decides outside."""
+"""Choice of a policy: its name, ``weights:FILE``, ``module:name`` or ``ws://host:port``; a policy object; a function
+``(view, base)``; or `External` for an agent that is controlled from outside."""
 Assigned = Mapping[str, Any]
-"""Policies by agent or kind: a `PolicyChoice`, or a sequence with one for each agent of a kind."""
+"""Policies by agent or kind, each a `PolicyChoice` or a sequence with one choice for each agent of a kind."""
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
 
 
 @cache
 def policy_servers() -> Registry[Any]:
-    """Return finders of policies behind addresses by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
+    """Return the registered finders of policies behind addresses, by scheme.
+
+    A finder is a function ``(address, task, kind, spec)`` that returns a `PolicyMaker`.
+    """
     return Registry("h3data.policy_servers", {}, what="scheme of a policy's address")
 
 
 @cache
 def plugin_policies() -> Registry[Any]:
-    """Return policies of installed packages, and ``module:name``."""
+    """Return the registry of policies of installed packages, which also finds ``module:name``."""
     return Registry("h3data.policies", {}, what="policy")
 
 
 def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
     """Assign a policy to each agent of an episode.
 
-    ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get the task's defaults.
+    ``chosen`` has policies or their names by agent (``robot``, ``human_2``, ``person``) or by kind; other agents get
+    the task's defaults.
 
     Raises:
         InputError: There is no such policy, or no such agent.
@@ -161,10 +165,10 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
 
 
 def each_of(choice: Any, count: int, kind: str) -> list[Any]:
-    """Return one choice for each of ``count`` agents: one name for all, or one for each, as a sequence or separated by commas.
+    """Return one choice for each of ``count`` agents, from one name for all or from one choice for each.
 
     Raises:
-        InputError: Their number is neither one nor that of the agents.
+        InputError: The number of choices is neither one nor ``count``.
     """
     listed = (
         choice.split(",") if isinstance(choice, str) else list(choice) if isinstance(choice, list | tuple) else [choice]
@@ -182,11 +186,11 @@ def each_of(choice: Any, count: int, kind: str) -> list[Any]:
 
 
 PolicyMaker = Callable[[Episode, int], AssignedPolicy]
-"""Function that makes a fresh policy for the agent with this number in one episode."""
+"""Function that makes a new policy for the agent with a given number in one episode."""
 
 
 def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:
-    """Return a fresh policy for one agent in one episode.
+    """Return a new policy for one agent in one episode.
 
     Raises:
         InputError: there is no such policy; the message lists those that exist.
@@ -195,7 +199,7 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
 
 
 def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
-    """Return a function that makes the policy with this name for an episode.
+    """Return a function that makes the chosen policy for an episode.
 
     Commands, environments, sessions, live play and plug-ins all look policies up here.
 
@@ -204,7 +208,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         kind: ``robot`` or ``human``.
         choice: A name, ``weights:FILE``, ``module:name`` or the address of a policy server; a policy, its class, a function
             ``(view, base)``, or `External`.
-        spec: The rules, which files of weights must fit; None where episodes say them.
+        spec: Rules that files of weights must fit; None if they follow from the episodes.
 
     Raises:
         InputError: there is no such policy; the message lists those that exist.
@@ -277,7 +281,7 @@ def policy_names(task: Task, kind: str) -> list[str]:
 
 
 def unknown_policy(task: Task, kind: str, name: str) -> InputError:
-    """Return the error for a policy name that agents of a kind do not have in a task; it lists the valid names."""
+    """Return the error for a policy name that is unknown for a kind of agent in a task, with the valid names."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         whose = "robots" if kind == "robot" else "people"
@@ -294,7 +298,7 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
 
 
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
-    """Make a policy from an entry of a table or a plug-in.
+    """Make a policy for an agent from an entry of a table or a plug-in.
 
     The entry is a factory ``(task, episode, number)``, a class of policies, a policy, or a function ``(view, base)``.
     """

@@ -1,4 +1,4 @@
-"""Learned policies from a file of weights: ``--policy weights:FILE``, in both tasks (h3data docs learned-policies)."""
+"""Learned policies from files of weights, for both tasks (``--policy weights:FILE``; h3data docs learned-policies)."""
 
 from __future__ import annotations
 
@@ -53,24 +53,24 @@ Fitting = TypeVar("Fitting", bound=AnyNetwork)
 
 # --- names --------------------------------------------------------------------------------------------------------------
 def is_learned(policy: str) -> bool:
-    """Return whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
+    """Return whether the name of a policy stands for a file of weights: ``weights:FILE``, or a name in `SHIPPED`."""
     return policy.startswith(PREFIX) or policy in SHIPPED
 
 
 def weights_hint(name: str) -> str:
-    """Return the name that was probably meant, where this one is the path of a file; else empty."""
+    """Return the name that was probably meant if a name is the path of a file; otherwise an empty text."""
     return f" Hint: {PREFIX}{name}" if Path(name).is_file() else ""
 
 
 def stamped(policy: str) -> str:
-    """Return the name of a policy as recordings hold it, which identifies its exact weights.
+    """Return the name of a policy as recordings store it, which identifies its exact weights.
 
     For a file of weights it is ``weights:FILE@digest``, with 12 digits of the file's digest. If the policy sees its
     colours in another light than in training, the light follows, as in ``weights:FILE@digest@baked``. Other names are
     unchanged.
 
     Raises:
-        InputError: The file does not exist, is no policy, or differs from the digest in the name.
+        InputError: The file does not exist, is not a policy, or differs from the digest in the name.
     """
     if not policy.startswith(PREFIX):
         return policy
@@ -82,7 +82,7 @@ def stamped(policy: str) -> str:
 
 
 def network_light(network: AnyNetwork) -> LightMode | None:
-    """Return the light in the colours that a network observes; None: it observes none."""
+    """Return the light in the colours that a network observes; None if it observes no colours."""
     return network.card.light if isinstance(network, VisualPolicy) and network.sees_colours else None
 
 
@@ -103,13 +103,13 @@ def _without_light(policy: str) -> tuple[str, LightMode | None]:
 
 
 def network_of(policy: str) -> AnyNetwork:
-    """Load the network that a name means: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
+    """Load the network that a name refers to: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
 
-    With ``@baked`` or ``@flat`` at the end, the network sees its colours in this light, whatever that of its training
-    was.
+    With ``@baked`` or ``@flat`` at the end, the network sees its colours in this light, regardless of the light in its
+    training.
 
     Raises:
-        InputError: The file does not exist, is no policy, or differs from the digest in the name.
+        InputError: The file does not exist, is not a policy, or differs from the digest in the name.
     """
     bare, light = _without_light(policy)
     name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
@@ -200,13 +200,13 @@ class NavigationContext:
 
 
 def read_sensors(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Array]:
-    """Return the named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
+    """Return the named observations at this moment, some of `FOLLOWER`, each float64 [n]."""
     moment = NavigationContext(view, spec)
     return {name: np.asarray(TABLE[name].of(moment), np.float64) for name in names}
 
 
 def navigation_input(view: SocialNavView, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
-    """Return the named observations of a moment, one after the other, [in] float32."""
+    """Return the named observations at this moment, concatenated to one float32 vector [in]."""
     return np.concatenate(list(read_sensors(view, spec, names).values())).astype(np.float32)
 
 
@@ -230,7 +230,7 @@ class LearnedNavigation:
 
 
 class VisualNavigation:
-    """Learned robot policy of social navigation, with pictures and a recurrent memory.
+    """Learned policy of a robot in social navigation, with pictures and a recurrent memory.
 
     Each episode needs a policy of its own. An action is repeated for as many steps as in training.
     """
@@ -288,7 +288,7 @@ class VisualNavigation:
 
 @contextmanager
 def naming(policy: str) -> Iterator[None]:
-    """Add the name of the policy to a `FormatError` that says why its network does not fit."""
+    """Add the name of the policy to a `FormatError` about a network that does not fit."""
     try:
         yield
     except FormatError as fault:
@@ -296,7 +296,7 @@ def naming(policy: str) -> Iterator[None]:
 
 
 def navigation_of(network: AnyNetwork, task: str, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
-    """Return a fresh player of a network for one episode of a task.
+    """Return a new policy that plays a network, for one episode of a task.
 
     Raises:
         FormatError: the network is for another task or another robot.
@@ -306,7 +306,7 @@ def navigation_of(network: AnyNetwork, task: str, *, robot: str = "") -> Learned
 
 
 def trained_for(network: AnyNetwork, task: str, *kinds: type[Fitting]) -> Fitting:
-    """Return a network that is for a task, and of one of some kinds.
+    """Return a network after checking that it is for a task, and of one of some kinds.
 
     Raises:
         FormatError: It is for another task, or of another kind.
@@ -319,7 +319,7 @@ def trained_for(network: AnyNetwork, task: str, *kinds: type[Fitting]) -> Fittin
 
 
 def require(network: Network | VisualPolicy, known: Collection[str], *, outputs: int) -> None:
-    """Check that a network needs known observations only and has a number of outputs.
+    """Check that a network only needs known observations and has a given number of outputs.
 
     Raises:
         FormatError: The network does not fit.

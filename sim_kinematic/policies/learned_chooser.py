@@ -1,4 +1,4 @@
-"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is chosen."""
+"""Learned policies of the upper layer of rearrangement, which choose the action that a network scores highest."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class LearnedSkillPolicy:
         return self.choices[int(np.argmax(scores))]
 
     interrupts_only_when_close = True
-    """True if `interrupts` returns nothing unless ``view.close``, so that it is only called then, with a
+    """True if `interrupts` returns a reason only if ``view.close`` is true, so that it is called only then, with a
     `CloseView`."""
 
     def interrupts(self, view: RearrangeView) -> str:
@@ -53,7 +53,7 @@ class LearnedSkillPolicy:
 
 
 def learned_chooser(policy: str, task: str, objects: int, *, robot: bool) -> LearnedSkillPolicy | RecurrentSkillPolicy:
-    """Return the chooser that ``weights:FILE`` or the name of a trained policy means, which has to be of a task.
+    """Return the chooser for ``weights:FILE`` or for the name of a trained policy, which has to be for a task.
 
     Raises:
         InputError: the file does not exist, is not a file of weights, or its network does not fit.
@@ -66,5 +66,5 @@ def learned_chooser(policy: str, task: str, objects: int, *, robot: bool) -> Lea
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:
-    """Return the named observations of a moment, one after the other, [in] float32."""
+    """Return the named observations at this moment, concatenated to one float32 vector [in]."""
     return np.concatenate(list(observe(view, names).values()))

@@ -1,4 +1,4 @@
-"""Policy of single commands that leaves places where it is stuck."""
+"""Policy that outputs single commands, and maneuvers out of places where it is stuck."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 
 NEAR_M = 2.0
-"""Distance from the person below which a maneuver ends or does not begin, as it does not avoid people [m]."""
+"""Distance from the person below which a maneuver ends or does not start, as maneuvers do not avoid people [m]."""
 
 
 class Maneuvering:
-    """Policy that computes velocities from the view, and leaves places where the base is stuck.
+    """Policy that computes velocities from the view, and maneuvers out of places where the base is stuck.
 
     When the base has not moved for a moment, it makes a maneuver (`sim_kinematic.avoidance.maneuvers`) towards the
     person. A base 1.2 m long that is wedged between two walls needs several commands to get out, the first of which
@@ -28,7 +28,7 @@ class Maneuvering:
         self._function, self._base = function, base
         self.__name__ = function.__name__
         self._still = 0
-        """Number of steps for which the base has not moved though it wanted to find or follow the person."""
+        """Number of steps for which the base has not moved although it was to find or follow the person."""
         self._commands: list[tuple[float, float]] = []
 
     def act(self, view: SocialNavView) -> Velocity:

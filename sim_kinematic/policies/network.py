@@ -1,7 +1,7 @@
 """Small neural network in a file, with named observations as input, for ``--policy weights:FILE``.
 
-The file is an npz of plain arrays (`save_network` lists them): nothing in it is executed when it is read, no pickle, no
-code. PyTorch is needed for none of it; `from_torch` takes over what was trained there.
+The file is an npz of plain arrays (`save_network` lists them). It has no pickle and no code, so nothing in it is
+executed when it is read. PyTorch is not needed; `from_torch` converts a network that was trained there.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_ne
 RUN_POLICY = "policy.npz"
 """Name of the policy file in the folder of a training run."""
 PLANES = ".planes"
-"""Ending of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
+"""Suffix of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20
-"""Size of arrays above which a file is refused [bytes]."""
+"""Total size of arrays above which a file is refused [bytes]."""
 Activation = Literal["tanh", "relu"]
 
 
@@ -39,7 +39,7 @@ class Network:
     task: str
     """Task of the policy: ``social_nav`` or ``rearrange``."""
     observations: tuple[str, ...]
-    """Names of the observations that make up its input, one after the other."""
+    """Names of the observations that make up the input, which are concatenated in this order."""
     weights: tuple[NDArray[np.float32], ...]
     """Weights of each layer, [out, in], as in `torch.nn.Linear`."""
     biases: tuple[NDArray[np.float32], ...]
@@ -141,10 +141,10 @@ def from_torch(
     mean: ArrayLike = (0.0,),
     scale: ArrayLike = (1.0,),
 ) -> Network:
-    """Return the network that a `torch.nn.Sequential` of `Linear` with `Tanh` or `ReLU` between them is.
+    """Return the network of a `torch.nn.Sequential` of `Linear` layers with `Tanh` or `ReLU` between them.
 
     Raises:
-        InputError: There are other layers.
+        InputError: The module has other layers.
     """
     from torch import nn
 
@@ -184,7 +184,7 @@ def from_torch(
 
 # --- files --------------------------------------------------------------------------------------------------------------
 def save_network(network: Network, path: str | Path) -> None:
-    """Write a network as an npz file, which appears whole or not at all.
+    """Write a network as an npz file, which either appears complete or not at all.
 
     Its entries are ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``,
     ``bias_0``, ``weight_1`` and so on.
@@ -204,7 +204,7 @@ def save_network(network: Network, path: str | Path) -> None:
 
 
 def load_network(path: str | Path) -> Network:
-    """Return the network in a file of `save_network`.
+    """Return the network in a file that `save_network` wrote.
 
     Raises:
         InputError: There is no such file.
@@ -219,7 +219,7 @@ def load_network(path: str | Path) -> Network:
 
 
 def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
-    """Return the network in the arrays of a file.
+    """Return the network in the arrays of a file of weights.
 
     Raises:
         FormatError: An array is missing, or the layers do not fit together.
@@ -289,7 +289,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
 
 def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second ones, and so on.
+    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second bytes.
 
     They compress better, by a fifth where the last bits are 0.
     """
@@ -299,7 +299,7 @@ def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the float32 array [...] whose `to_planes` are given.
+    """Return the float32 array [...] that `to_planes` converted to ``planes``.
 
     Raises:
         ValueError: The array is not uint8 [4, ...].

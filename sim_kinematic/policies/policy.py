@@ -1,6 +1,6 @@
-"""Protocol of policies, which decide for agents, and the choices that they may make.
+"""Protocol of policies, which decide for agents, and the choices that they can return.
 
-A script, a planner, a network, a recorded track and somebody outside are the same thing to a runner: a `Policy`.
+To a runner, a script, a planner, a network, a recorded track and a controller outside are all the same: a `Policy`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sim_kinematic.motion.state import HumanState
 
 # --- choices ----------------------------------------------------------------------------------------------------------
 class Velocity(NamedTuple):
-    """Base velocity of a robot or a person, and the policy's word for its activity."""
+    """Base velocity of a robot or a person, with the policy's word for its activity."""
 
     forward: float
     """Speed as a share of the limit, -1..1; people do not walk backwards."""
@@ -29,14 +29,14 @@ class Velocity(NamedTuple):
 
 
 class WaypointAction(NamedTuple):
-    """A point that a person walks straight to."""
+    """Choice of a point that a person walks straight to."""
 
     xz: NDArray[np.float64]
     """Place on the floor ``(x, z)`` [m]."""
 
 
 class PoseAction(NamedTuple):
-    """Place of a person who walks along a path, after this step."""
+    """Choice of the place of a person, who walks along a path, after this step."""
 
     xz: Array
     """Place on the floor ``(x, z)`` [m]."""
@@ -46,14 +46,14 @@ class PoseAction(NamedTuple):
 
 
 class GaitAction(NamedTuple):
-    """Place of a person after this step, and their phase in the walking cycle."""
+    """Choice of the place of a person after this step, with their phase in the walking cycle."""
 
     gait: HumanState
-    """Gait of one world."""
+    """Gait of the person, as a state of one world."""
 
 
 class RecordedPose(NamedTuple):
-    """Step of a recorded person, repeated unchanged."""
+    """Choice that repeats one step of a recorded person unchanged."""
 
     xz: NDArray[np.float64]
     heading: float
@@ -75,10 +75,10 @@ class Policy(Protocol):
 
 
 class External:
-    """Placeholder for a controller outside, which answers through `sim_kinematic.tasks.runner.Session.act`.
+    """Placeholder for a controller outside, which acts through `sim_kinematic.tasks.runner.Session.act`.
 
-    ``interrupts_when_close``: in tasks with skills, whether they may choose anew at every step while another agent is
-    close, as Habitat's learned policies must.
+    In tasks with skills, ``interrupts_when_close`` says whether the agent may choose again at every step while another
+    agent is close, as Habitat's learned policies must.
     """
 
     takes_commands = True
@@ -94,7 +94,7 @@ class External:
         )
 
     interrupts_only_when_close = True
-    """True if `interrupts` returns nothing unless ``view.close``, so that it is only called then, with a
+    """True if `interrupts` returns a reason only if ``view.close`` is true, so that it is called only then, with a
     `CloseView`."""
 
     def interrupts(self, view: Any) -> str:
@@ -106,7 +106,7 @@ class External:
 
 
 class FunctionPolicy:
-    """A policy that is a function of the view and of the robot's base; the function may hold a memory."""
+    """Policy that is a function of the view and of the robot's base; the function may hold a memory."""
 
     def __init__(self, function: Callable[[Any, BaseSpec], Any], base: BaseSpec) -> None:
         self._function, self._base = function, base
@@ -118,7 +118,7 @@ class FunctionPolicy:
 
 
 class Still:
-    """Policy that stands still; lower-bound baseline."""
+    """Policy that stands still, as a lower-bound baseline."""
 
     def act(self, view: Any) -> Velocity:
         """Return a velocity of 0."""

@@ -32,31 +32,34 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
 ZSC = ("both", "object_1", "object_2", "still")
 """Planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
-"""The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
+"""Planners and six learned partners of the paper's zero-shot population; the partners were trained here, as the paper's
+were not published."""
 
 
 REPLAN_STEPS, STRAIGHT_ON_STEPS, IN_REACH_M = 15, 10, 0.9
-"""Interval at which a robot that drives to an object chooses again, 1 while the person is close; number of steps over which the
-person's motion is extrapolated to find where they are going; distance to an object below which they may be about to take it
-[m]."""
+"""Number of steps after which a robot that drives to an object chooses again (1 while the person is close); number of
+steps over which the person's motion is extrapolated to predict their target; and distance to an object below which the
+person may be about to take it [m]."""
 
 
 class HighLevelPolicy(Protocol):
-    """Policy of the upper layer.
+    """Policy of the upper layer of rearrangement, which chooses skills.
 
-    A policy that may abort its action also has ``interrupts(view) -> str``, which is asked in every step of an action and
-    returns the reason to abort it, or an empty text. For a policy without this method no view is put together.
+    A policy that may abort its action also has ``interrupts(view) -> str``, which is asked in every step of an action
+    and returns the reason to abort it, or an empty text. For a policy without this method, no view is computed in these
+    steps.
     """
 
     def act(self, view: RearrangeView) -> Action:
-        """Choose the next action; asked when the last action has ended or was interrupted."""
+        """Return the next action; called when the last action has ended or was interrupted."""
         ...
 
 
 def errand(view: RearrangeView, k: int) -> Action:
-    """Return the next action that brings object k closer to its goal.
+    """Return the next action that brings object ``k`` closer to its goal.
 
-    It is one of the four skills, or, as long as the hand is free, one that opens what encloses the object or its goal.
+    The action is one of the four skills or, as long as the hand is free, an action that opens the door or drawer that
+    encloses the object or its goal.
     """
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     # opening takes a free hand, so what shuts off the goal is opened before the object is taken
@@ -75,14 +78,14 @@ class Plan(NamedTuple):
     order: Any
     """Objects to bring to their goals, one after the other, int [W, K]; -1 after the last."""
     passed: Any
-    """Number of objects that are done or skipped, int [W]."""
+    """Number of objects that are done or were skipped, int [W]."""
     tries: Any
     """Number of failures of the planner at its current object, int [W]."""
 
     def next(
         self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np
     ) -> tuple[Any, Plan]:
-        """Return the objects [W] to bring to their goals now, -1 where none is left or no choice is due, and the new plans.
+        """Return the objects [W] to bring to their goals now, and the plans after this decision.
 
         Args:
             asked: whether the planner chooses now, bool [W].
@@ -116,7 +119,7 @@ class Plan(NamedTuple):
 class Planner:
     """Partner that brings its objects to their goals one after the other, then stands still.
 
-    It plans once and never aborts, as the partners of habitat-lab. Objects that are at their goals or in the other
+    It plans once and never aborts, like the partners of habitat-lab. Objects that are at their goals or in the other
     agent's hands when their turn comes are skipped. An object from which others block it (`blocked`) is moved to the
     end.
     """
@@ -153,11 +156,11 @@ class Planner:
 class Chooser:
     """Robot that brings objects to their goals in the order of a preference.
 
-    `prefer` names the next object. The robot changes to another when the person has taken the one it is heading for.
+    `prefer` returns the next object. The robot changes to another when the person has taken the one it is heading for.
     """
 
     prefer: Callable[[RearrangeView, list[int]], int | None]
-    """Function that chooses among the remaining objects; None means to wait."""
+    """Function that chooses one of the remaining objects; None means to wait."""
     _object: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
     """Objects at which it failed, and until which step it leaves them."""
@@ -206,7 +209,7 @@ def _way(view: RearrangeView, start: NDArray, k: int) -> float:
 
 
 def persons_object(view: RearrangeView) -> int:
-    """Return the object that the person holds, walks to (by their last steps) or stands at; -1 if unknown."""
+    """Return the object that the person holds, walks to (judging by their last steps) or stands at; -1 if unknown."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
@@ -257,18 +260,18 @@ PARTNERS = (*POPULATIONS, *PLANS)
 
 
 def population_of(partner: str) -> str:
-    """Return ``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
+    """Return ``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for one of planners, or empty."""
     return "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else ""
 
 
 def zsc_populations(partners: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    """Return the paper's zero-shot populations whose members all play: four planners, and these with six learned partners."""
+    """Return the paper's zero-shot populations that can play: four planners, and these with six learned partners."""
     there = set(partners)
     return tuple(population for population in (ZSC, ZSC_TEN) if there.issuperset(population))
 
 
 def robot_policy(name: str) -> HighLevelPolicy:
-    """Return a fresh robot policy; an `InputError` lists what exists."""
+    """Return a new robot policy by name; raise an `InputError` that lists the names if there is none."""
     if name not in ROBOT_POLICIES:
         there = (*ROBOT_POLICIES, *SHIPPED_HELPERS)
         raise InputError(
@@ -291,12 +294,12 @@ def partner_plan(name: str, seed: int) -> str:
 
 
 def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
-    """Return a fresh partner for the episode with this seed."""
+    """Return a new partner policy for the episode with this seed."""
     return planner(partner_plan(name, seed), seed, objects)
 
 
 def planner(plan: str, seed: int, objects: int = 2) -> Planner:
-    """Return the planner of a plan. The order of ``both`` is sampled by the seed, as Habitat's search leaves it to chance."""
+    """Return the planner of a plan, where the seed determines the order of objects for ``both``."""
     wanted = list(range(objects)) if plan == "both" else [k for k in PLANS[plan] if k < objects]
     if len(wanted) > 1:
         wanted = generator(seed, "plan_order").permutation(wanted).tolist()

@@ -1,7 +1,7 @@
 """Observations of learned policies of rearrangement, computed from a `RearrangeView` by the rows of the table of sensors.
 
-They are the same for training environments and for policies from a file: `sim_kinematic.sensing.table.SENSES`. Pictures are
-computed by `sim_kinematic.sensing.agent_pictures`.
+The observations are the same for training environments and for policies from a file
+(`sim_kinematic.sensing.table.SENSES`). Pictures are computed by `sim_kinematic.sensing.agent_pictures`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SNAP_M = 2.0
 
 
 class RearrangeContext:
-    """Views of one agent in W worlds of rearrangement as a `sim_kinematic.sensing.table.Context`."""
+    """Views of one agent in W worlds of rearrangement, as a `sim_kinematic.sensing.table.Context`."""
 
     xp = np
 
@@ -61,7 +61,7 @@ class RearrangeContext:
 
     @property
     def is_alone(self) -> bool:
-        """Return whether there is no other agent."""
+        """Return whether there are no other agents."""
         return not np.isfinite(self._views[0].other_xz[0])
 
     @cached_property
@@ -86,10 +86,10 @@ class RearrangeContext:
         return np.array([view.free.root_pose(view.other_xz, 0.0)[:3] for view in self._views])
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Array:
-        """Return the lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
+        """Return the lengths of the shortest paths from the agent or the other agent to objects or goals, [W, K] [m].
 
-        With ``then`` from the first position of the other's known track. Objects and goals lie on furniture, so the ends of the
-        paths are moved to the free floor.
+        With ``then``, paths start at the first position of the other agent's known track. Objects and goals lie on
+        furniture, so the ends of the paths are moved to the free floor.
         """
         found = []
         for view in self._views:
@@ -143,7 +143,7 @@ def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.f
 def exact(
     views: Sequence[RearrangeView], names: Sequence[str], sensors: Mapping[str, Sensor] = SENSES
 ) -> dict[str, Array]:
-    """Return the named observations in W worlds as they are, [W, n] each; of the other agent zeros if there is none."""
+    """Return the exact values of the named observations in W worlds, each [W, n]; those of a missing agent are 0."""
     moment, lone = RearrangeContext(views), None
     found = {}
     for name in names:
@@ -160,7 +160,7 @@ def exact(
 
 
 def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int, parts: int = 0) -> dict[str, Limits]:
-    """Return limits of all observations but pictures by name, for an agent with ``arm`` joints (0: a person)."""
+    """Return the limits of all observations except pictures by name, for an agent with ``arm`` joints (people: 0)."""
     known = choices(objects, robot=arm > 0, parts=tuple(range(parts)))
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(known), "parts": parts}
     return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}

@@ -29,18 +29,18 @@ from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
 
 COMMAND = "command"
-"""Kind of the raw input that holds a command from outside."""
+"""Kind of the raw input event that stores a command from outside."""
 RESUMED = "resumed"
 """Reason recorded for a skill that is interrupted because another policy takes over, which may continue it."""
 
 
 def is_remote(policy: Any) -> bool:
-    """Return whether a policy is behind a server, which a replay of the recording does not ask again."""
+    """Return whether a policy runs behind a server, which is not called again when a recording is replayed."""
     return bool(getattr(policy, "is_remote", False))
 
 
 class NotRecorded(InputError):
-    """The episode deviates from the recording: it needs a command where none was recorded."""
+    """Error for an episode that deviates from its recording and needs a command where none was recorded."""
 
 
 class RecordedCommand(NamedTuple):
@@ -49,15 +49,15 @@ class RecordedCommand(NamedTuple):
     step: int
     choice: Any
     interrupts: str = ""
-    """Reason for interrupting a running skill; empty if the agent had to choose."""
+    """Reason for interrupting a running skill; empty if the agent had to choose anyway."""
 
 
 class RecordedVelocities:
     """Policy that repeats recorded base velocities up to a step, then passes control to another policy.
 
-    The other policy, if there is one, is asked in every step from ``since`` on, and its answers are dropped until ``until``. So
-    it has the memory, and the action that it holds between decisions, which it had in the recording. A policy that is
-    `is_remote` is only asked from ``until`` on.
+    The other policy, if there is one, is called in every step from ``since`` on, and its choices are ignored until
+    ``until``. So it has the same memory, and the same action between decisions, as in the recording. A remote policy
+    (`is_remote`) is only called from ``until`` on.
     """
 
     def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0) -> None:
@@ -75,7 +75,7 @@ class RecordedVelocities:
         own: Any,
         since: int = 0,
     ) -> RecordedVelocities:
-        """Return a policy that repeats the recorded commands from outside, or else the column ``agent_<i>.action``.
+        """Return a policy that repeats recorded commands from outside, or else the column ``agent_<i>.action``.
 
         Args:
             recording: the recording.
@@ -153,7 +153,7 @@ class RecordedCommands:
         return self._commands[self._next - 1].choice
 
     def interrupts(self, view: Any) -> str:
-        """Return the reason to abort the running skill where a command came while it was running; else empty."""
+        """Return the reason to abort the running skill if a command arrived while it was running; otherwise empty."""
         if view.step >= self._until and self._own is not None:
             interrupts = getattr(self._own, "interrupts", None)
             return RESUMED if view.step == self._until else interrupts(view) if interrupts is not None else ""
@@ -205,7 +205,7 @@ class RecordedTrack:
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
     def track(self) -> NDArray[np.float64]:
-        """Return positions after each step, [T, 2] [m]."""
+        """Return the recorded positions of the person after each step, [T, 2] [m]."""
         return self._xz
 
     def act(self, view: Any) -> RecordedPose:
@@ -228,16 +228,17 @@ class RecordedTrack:
 class RecordedPolicy:
     """Policy that repeats one agent's recorded choices and interruptions.
 
-    ``own``, if it is known, is the policy that made them. It is asked at every decision of the recording, so that it has the
-    same memory when it takes over.
+    ``own`` is the policy that made the choices, if it is known. It is called at every decision of the recording, so
+    that it has the same memory when it takes over.
     """
 
     spans: Sequence[SkillSpan]
-    """Recorded skills of the agent, in the order of time."""
+    """Recorded skills of the agent, in chronological order."""
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
-    """Skill and target at each step, [T, 2]; a skill that was running at the end of the recording has no span."""
+    """Skill and target at each step, [T, 2], needed because a skill that was running at the end of the recording has no
+    span."""
     until: int
     """Step from which on ``own`` decides instead of the recording."""
     own: HighLevelPolicy | None = None
@@ -248,7 +249,7 @@ class RecordedPolicy:
     surfaces: tuple[str, ...] = ()
     """Names of the surfaces at which agents look for things."""
     commands: Mapping[tuple[int, int], list[Any]] = field(default_factory=dict)
-    """Commands of ``wait`` that took no time (`told_in`); each is removed when it is repeated."""
+    """Commands of ``wait`` that took no time (`told_in`), by step and object; each is removed when it is repeated."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -264,7 +265,7 @@ class RecordedPolicy:
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason for which the recording interrupts the running action; empty if there is none."""
+        """Return the reason why the recording interrupts the running action at this step; empty if it does not."""
         asked = self.own is not None and view.step >= self.since
         # where it took over from somebody else it had to choose, whatever was running
         # where it took over from somebody else, it chose anew whatever was running
@@ -302,7 +303,7 @@ class RecordedPolicy:
 
 
 def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict[tuple[int, int], list[Any]]:
-    """Return the goals that an agent assigned to objects, and its messages, by step and index of the object (-1: message)."""
+    """Return the goals that an agent assigned and its messages, by step and index of the object (-1: a message)."""
     told: dict[tuple[int, int], list[Any]] = {}
     for event in recording.events:
         if event.agent == number and event.kind == "aim" and event.target in objects:
@@ -315,12 +316,12 @@ def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict
 def targets_of(
     skill: str, objects: tuple[str, ...], joints: tuple[str, ...], surfaces: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of the targets that a skill can have."""
+    """Return the names of the targets that a skill can have, in the order of their numbers."""
     return joints if skill in OPENING_SKILLS else surfaces if skill == SEARCH else objects
 
 
 def deciding_since(recording: Recording) -> list[int]:
-    """Return the step since which the present policy of each agent has decided, and from which its memory begins.
+    """Return, for each agent, the step from which on its present policy has decided.
 
     Raises:
         InputError: The info has no such step for each agent.
@@ -348,7 +349,7 @@ def recorded_choices(
 ) -> tuple[list[SkillSpan], NDArray]:
     """Return the skill spans of an agent, and its skills and targets step by step [T, 2].
 
-    ``since`` is the step before which commands from outside decided, whose skills are left out.
+    Skills before the step ``since``, which commands from outside decided, are left out.
 
     Raises:
         InputError: The simulator does not know a skill or target, or there are commands of the lower layer, which are not
@@ -388,9 +389,9 @@ def recorded_choices(
 
 
 def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[RecordedCommand]]:
-    """Return commands from outside by agent, each with its step, from the recorded raw input.
+    """Return the recorded commands from outside by agent, each with its step.
 
-    ``decode`` is `sim_kinematic.tasks.control.Control.from_json`.
+    The commands are decoded from the raw input by ``decode``, which is `sim_kinematic.tasks.control.Control.from_json`.
 
     Raises:
         InputError: A command is malformed.

@@ -1,4 +1,4 @@
-"""Search for objects in a home: choice of the next place to check, and planners that search while they are idle."""
+"""Search for objects in a home: the choice of the next place to check, and planners that search while they are idle."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sim_kinematic.sensing.sight import LOOK_STEPS
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """Costs and distances of the search for places."""
+    """Costs and distances that determine the order in which places are searched."""
 
     group_m: float = 1.5
-    """Distance below which places count as visible together from one of them [m]."""
+    """Distance below which places count as visible from each other's stand [m]."""
     stand_m: float = 3.0
-    """Cost of a stop at a place, as a length of path [m]."""
+    """Cost of a stop at a place, as an equivalent length of path [m]."""
     opening_m: float = 12.0
-    """Additional cost of opening a place's door or drawer, as a length of path [m]."""
+    """Additional cost of opening a place's door or drawer, as an equivalent length of path [m]."""
     theirs: float = 0.4
-    """Weight of a place that is nearer to the other agent, who may check it too."""
+    """Weight of a place that is nearer to the other agent, who may check it as well."""
     compared: int = 8
-    """Number of places, the best by straight lines, that are compared by lengths of paths."""
+    """Number of the best places by straight-line distance that are compared by lengths of paths."""
     avoid_steps: int = 900
     """Number of steps for which a place that could not be reached is avoided."""
     pause: int = 15
@@ -38,14 +38,14 @@ SEARCHING = SearchSpec()
 
 @dataclass
 class Search:
-    """Search of one agent, which checks one place after the other, first where much becomes visible soon."""
+    """Search of one agent, which checks one place after the other, starting where much becomes visible soon."""
 
     _place: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
     """Step until which each place is avoided."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next action of the search: to go to a place, or to open the door or drawer before it."""
+        """Return the next action of the search: walking to a place, or opening the door or drawer in front of it."""
         assert view.places is not None
         looked, shut = view.places.looked, view.places.shut
         now, ended = self._place, view.last
@@ -111,15 +111,15 @@ class Seeking:
     """Planner that searches while it is idle and does not know where all objects are."""
 
     interrupts_every = LOOK_STEPS
-    """Number of steps between calls of `interrupts`, the interval at which agents look around."""
+    """Number of steps between calls of `interrupts`, which is the interval at which agents look around."""
     policy: Any
     search: Search = field(default_factory=Search)
     _searches: bool = False
     _known: int = 0
-    """Number of objects that it knew when it last chose."""
+    """Number of objects whose place the agent knew when it last chose."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the planner's action, or the next of the search."""
+        """Return the planner's action, or the next action of the search."""
         # the result of an action of the search would tell the planner that its own action had ended
         choice = self.policy.act(view._replace(last=None) if self._searches else view)
         left = [k for k in range(len(view.objects)) if not view.is_known(k) and view.held_by[k] == NOBODY]
@@ -129,7 +129,7 @@ class Seeking:
     def interrupts(self, view: RearrangeView) -> str:
         """Return the reason to interrupt the action.
 
-        The search ends when an object or the place has been seen; at other times the planner gives the reason.
+        A search ends when an object or the place has been seen; otherwise the planner determines the reason.
         """
         if view.step % LOOK_STEPS:
             return ""

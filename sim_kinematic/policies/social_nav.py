@@ -1,4 +1,4 @@
-"""Robot policies of social navigation: experts by rules, samples and foresight, baselines, and a learned one."""
+"""Robot policies of social navigation: experts by rules, samples and foresight, baselines, and a learned policy."""
 
 from __future__ import annotations
 
@@ -44,11 +44,12 @@ class ExpertSpec:
     margin_m: float = 0.15
     """Gap between robot and person that the experts keep if possible [m]."""
     turn_cost_m: float = 0.5
-    """Length of path [m] that one radian of heading error costs."""
+    """Length of path that a heading error of one radian costs [m]."""
     room_cost: float = 8.0
-    """Cost of each metre by which the gap is smaller than ``margin_m`` [m]."""
+    """Cost of each metre by which the gap is smaller than ``margin_m``, as a length of path [m]."""
     reach_m: float = 2.0
-    """Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
+    """Distance to the person below which the robot may find them [m]; a robot farther away ignores them until they are
+    found."""
     samples: int = 24
     """Number of commands that the sampling expert samples in every step."""
 
@@ -100,11 +101,12 @@ def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
 
 
 def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Follow the two rules of `heuristic_expert` by roll-outs, of which the best command is taken.
+    """Follow the two rules of `heuristic_expert` by roll-outs, choosing the best command.
 
     The robot approaches, forwards or backwards, by the command that shortens the path most, and restores 1.5 m at the
-    smallest speed that does so. In front of a person who comes nearer it goes back as fast as they come. Where the person
-    would walk into it, it backs away in the bend that leaves most room. It knows the person's position now and one step ago.
+    smallest speed that does so. In front of a person who comes nearer, it backs away at the person's speed. Where the
+    person would walk into it, it backs away along the curve that leaves most room. It knows the person's position now
+    and one step ago.
     """
     step_m, receding = spec.max_speed_mps * STEP_S, _receding(view)
     gap_m = view.geodesic_m + receding - EXPERT.keep_distance_m
@@ -129,10 +131,10 @@ def _receding(view: SocialNavView) -> float:
 
 
 def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Follow the paper's two rules (section 4.1): drive to a person farther away than 1.5 m, and back away from a nearer one.
+    """Drive to a person farther than 1.5 m away, and back away from a nearer one (rules of the paper, section 4.1).
 
-    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs straight away.
-    It tries nothing out and foresees nothing, so the person often pins it against a wall.
+    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs away in a
+    straight line. It does not simulate or predict anything, so the person often traps it against a wall.
     """
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
@@ -197,11 +199,11 @@ def _way_left(
 
 
 def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Sample commands, simulate each together with the person's expected walk, and take the best one.
+    """Sample commands, simulate each together with the person's expected walk, and choose the best one.
 
-    The best one leads to 1.5 m from the person, facing them, with room between both. An expert that samples waypoints without
-    predicting the walk collides more often than one that just backs away (in 75% of episodes, according to a draft of the
-    paper's appendix), because it drives to where the person is going.
+    The best command leads to a place 1.5 m from the person, facing them, with room between both. An expert that samples
+    waypoints without predicting the walk collides more often than one that just backs away (in 75% of episodes,
+    according to a draft of the paper's appendix), because it drives to where the person is going.
     """
     if not view.met and view.geodesic_m > EXPERT.reach_m:
         return _approach(view, spec, view.human_xz)
@@ -209,7 +211,9 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Act as `sampling_expert`, but with the person's true future: drive to the earliest meeting point, and give way in time.
+    """Act like `sampling_expert`, but with the person's true future.
+
+    The robot drives to the earliest meeting point and gives way in time.
 
     Raises:
         InputError: The person's future is unknown, because they do not follow the script of an episode.
@@ -253,20 +257,20 @@ def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64])
 
 
 def stand_still(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Return a velocity of 0: the lower bound of all scores."""
+    """Return a velocity of 0, which gives the lower bound of all scores."""
     del view, spec
     return Velocity(0.0, 0.0, "wait")
 
 
 def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Return a uniformly random base velocity in every step, the same for the same seed, as a baseline."""
+    """Return a uniformly random base velocity in every step, determined by the seed, as a baseline."""
     del spec
     forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
     return Velocity(float(forward), float(turn), "follow" if view.met else "find")
 
 
 def learned_follower(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Act by the included weights, which ``examples/train_social_nav.py`` trained (h3data docs learned-policies)."""
+    """Act by the included weights, which ``examples/train_social_nav.py`` produced (h3data docs learned-policies)."""
     return _follower()(view, spec)
 
 
@@ -285,5 +289,5 @@ POLICIES: dict[str, Policy] = {
     "stand_still": stand_still,
 }
 EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
-"""Experts that, if chosen by name, also leave places where they are stuck (`sim_kinematic.policies.maneuvering`).
-`heuristic_expert` has only the paper's two rules."""
+"""Names of the experts that can also maneuver out of places where they are stuck
+(`sim_kinematic.policies.maneuvering`). ``heuristic_expert`` follows only the paper's two rules."""

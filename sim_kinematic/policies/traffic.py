@@ -39,7 +39,7 @@ class RobotTrafficAgent(RobotActor):
         return self.drive_to(goal, within_m=arrived_m)
 
     def follow(self, state: WorldState) -> None:
-        """Do nothing: the actor's arrays are views of the copied state, which has the robot's pose already."""
+        """Do nothing, because the actor's arrays are views of the copied state, which already has the robot's pose."""
 
     def choice(self) -> Velocity:
         """Return the step that the robot has just made."""
@@ -47,7 +47,7 @@ class RobotTrafficAgent(RobotActor):
 
 
 class WalkingAgent(PersonActor):
-    """Person who walks about, in the motion clip that the world plays."""
+    """Person who walks about, posed by the motion clip that the world plays."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,12 +64,12 @@ class WalkingAgent(PersonActor):
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
-        """Walk to a floor point [2], or give up where another agent does not let them pass."""
+        """Walk to a floor point [2], or give up where another agent blocks the path."""
         yield from self._walk(goal)
         return SkillResult("done")
 
     def follow(self, state: WorldState) -> None:
-        """Take over where the world has the person, and how far they are in their walking cycle."""
+        """Take over the place of the person, and their phase in the walking cycle, from the world."""
         own = state.agents[self.number]
         assert isinstance(own, HumanState)
         self._gait = self.figure.gait = own.copy()
@@ -90,7 +90,7 @@ class WalkingAgent(PersonActor):
 
 
 class ClipBody:
-    """Body with the part of `Person`'s interface for walking, posed by a motion clip."""
+    """Body with the part of `Person`'s interface that walking needs, posed by a motion clip."""
 
     look_at = None
 
@@ -102,12 +102,12 @@ class ClipBody:
 
     @property
     def base(self) -> Array:
-        """Pose of the agent root [7]."""
+        """Pose (pose7) of the agent root [7]."""
         return root_pose(self.body, self.gait.xz[0], self.gait.heading.item(0), self._free)
 
     @property
     def quats(self) -> Array:
-        """Local rotations of the joints [55, 4]."""
+        """Local rotations of the joints (quaternions xyzw), [55, 4]."""
         return self._pose()[0]
 
     @property
@@ -117,7 +117,7 @@ class ClipBody:
 
     @property
     def speed_mps(self) -> float:
-        """Infinite speed, with which people who step aside set off at once, as the clip blends."""
+        """Infinite speed [m/s], with which people who step aside set off at once, because the clip is blended."""
         return np.inf
 
     def stride(self, gait: HumanState | None = None) -> None:
@@ -133,7 +133,7 @@ class ClipBody:
         return MotionResult(success=True)
 
     def frame(self) -> Frame:
-        """Return the pose of the body in this step."""
+        """Return the state of the body in this step."""
         root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
         return Frame(self.base, root, self.quats[1:], {})
 
@@ -148,10 +148,10 @@ class ClipBody:
 
 
 class Traffic:
-    """All agents of one world; those that wander choose their steps here."""
+    """All agents of one world; the agents that wander choose their steps here."""
 
     def __init__(self, world: World, row: int, floors: Sequence[FreeSpace]) -> None:
-        """``floors`` are the floors on which the agents find their paths in world number ``row``."""
+        """Create the traffic of world number ``row``, whose agents find their paths on ``floors``."""
         self._world, self._row, self._step = world, row, -1
         # a list of rows copies: by a slice, the agents would move in the world itself
         self._state = world.state.take([row])
@@ -175,7 +175,7 @@ class Traffic:
         return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 
     def begin_turn(self, number: int, step: int) -> RobotTrafficAgent | WalkingAgent:
-        """Return an agent in its present state, with what it knows of the others."""
+        """Return an agent in its present state, with its observations of the others."""
         if step != self._step:
             self._begin_step(step)
         actor = self.actors[number]
@@ -184,7 +184,7 @@ class Traffic:
         return actor
 
     def end_turn(self, number: int) -> None:
-        """Note that an agent has made its step, so that the others see where it is now."""
+        """Note that an agent has made its step, so that others observe its new place."""
         self._company.end_turn(number)
 
     def _begin_step(self, step: int) -> None:

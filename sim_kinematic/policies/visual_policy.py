@@ -1,12 +1,14 @@
 """Recurrent network that maps pictures and numbers to commands of a robot, stored in a file of plain arrays.
 
-``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, for skills that move
-the arm also its joints and the grip. One small kernel evaluates it in a millisecond. Its sums have a fixed order, so they give
-the same bits in every process. PyTorch and NumPy's BLAS do not, as their order depends on the number of threads, and threads
-cost more than so little work. `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares
-the two.
+The network is ``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward,
+turn``. For skills that move the arm, the output also has the arm's joints and the grip. One small kernel evaluates it
+in a millisecond. Its sums have a fixed order, so they give the same bits in every process. Those of PyTorch and NumPy's
+BLAS do not, as their order depends on the number of threads; for so little work, threads would cost more than they
+save. `h3data_training.networks` implements the same network in PyTorch, and tests/training/test_policy_files.py
+compares the two.
 
-The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
+The file is an npz of float32 arrays and one JSON text. It has no pickle and no code, so nothing in it is executed when
+it is read.
 """
 
 from __future__ import annotations
@@ -32,44 +34,45 @@ from sim_kinematic.sensing.encodings import DETECTOR, OF_COMMANDS
 
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
-"""Side of the squares of pixels that become channels, so that the first convolution works on a 16th of the positions."""
+"""Side of the squares of pixels that become channels, so that the first convolution works on a 16th of the positions
+[pixels]."""
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
-"""Number of planes of each picture that a network may observe. A network observes at most one of them."""
+"""Number of planes of each picture that a network may observe, by name; a network observes at most one of them."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
-"""Number of values of an action that move the base, and that close the hand if the arm's joints move."""
+"""Number of values of an action that move the base, and number of values for the grip, if the arm's joints move."""
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Description of a policy, stored as text in its file: its task, its inputs and how it was trained."""
+    """Description of a policy, stored as text in its file, with its task, its inputs and its training."""
 
     task: str
     robot: str
-    """Body of the robot in training."""
+    """Name of the robot's body in training."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
-    """Width and height of the picture and of the detector's [pixels]."""
+    """Width and height of the picture, which are also those of the detector's picture [pixels]."""
     light: LightMode = "flat"
-    """Light in the colours of training, which the policy also observes in play. Files without this entry were trained in flat
-    light."""
+    """Light in the colours during training, which the policy also observes in play; files without this entry were
+    trained in flat light."""
     hold: int
     """Number of steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
-    """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    """Type of the network: ``cnn_gru``, ``resnet18_lstm`` (the paper's), or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
-    """Length of an action: 2 for the base; skills that move the arm add its joints [n] and the grip [1]."""
+    """Length of an action: 2 for the base; skills that move the arm add its n joints and 1 for the grip."""
     agent: str = "robot"
     """Agent that the policy controls: ``robot`` or ``human``."""
     objects: int = 0
     """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
-    """True if a robot of rearrangement may choose the primitives of navigation."""
+    """True if a robot of rearrangement may choose the primitive motions of navigation."""
     temperature: float = 1.0
     """Divisor of the scores of choices before one is sampled in play; below 1, better choices are sampled more often than in
     training."""
     training: dict[str, Any] = {}
-    """Origin of the policy: recipe, seed, steps, hardware, versions."""
+    """Origin of the policy: recipe, seed, steps, hardware and versions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +95,7 @@ class CardedNetwork:
 
     @property
     def sees(self) -> str | None:
-        """Return which pictures of `PICTURES` the policy observes."""
+        """Return which picture of `PICTURES` the policy observes; None if it observes none."""
         return picture_in(self.card.observations)
 
     def start(self) -> Array:
@@ -133,7 +136,7 @@ class CardedNetwork:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VisualPolicy(CardedNetwork):
-    """Network that maps a picture and numbers to commands.
+    """Network that maps a picture and numbers to commands of a robot.
 
     Its arrays are ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih`` [3 H, in],
     ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [actions, n], and a bias for each.
@@ -179,7 +182,7 @@ class VisualPolicy(CardedNetwork):
         return self._digest(about)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Array, state: Array) -> tuple[Array, Array]:
-        """Evaluate the policy for one step.
+        """Evaluate the policy for one step, and return the action and the next state.
 
         Args:
             shown: observations by name.
@@ -204,13 +207,13 @@ class VisualPolicy(CardedNetwork):
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """Return sizes of pictures that the network supports, if this is none of them; otherwise empty."""
+        """Return a text with the supported sizes of pictures if ``size`` is not one of them; otherwise empty."""
         fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
         return "" if fits else f"multiples of {PATCH} up to 1024"
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-        """Return shapes of all arrays by name, with the widths that the given ones have."""
+        """Return the shapes of all arrays by name; widths are those of the given arrays."""
         shapes, features = picture_shapes(card, arrays)
         numbers = number_count(card.observations, card.actions)
         state, wide = rows_in(arrays, "gru.weight_ih") // 3, rows_in(arrays, "act_0.weight")
@@ -243,7 +246,7 @@ def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[A
     """Return the picture [H, W, planes] among the observations of a policy.
 
     Raises:
-        InputError: The picture is missing, or has another size than the card says.
+        InputError: The picture is missing, or its size is not that on the card.
     """
     name = picture_in(card.observations)
     assert name
@@ -257,7 +260,7 @@ def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[A
 
 
 def picture_features(picture: NDArray[Any], layer: Callable[[str, Array], Array]) -> Array:
-    """Return features [F] of a picture [H, W, planes], by the named linear layers of a network."""
+    """Return the features [F] of a picture [H, W, planes], computed by the named linear layers of a network."""
     height, width, planes = picture.shape
     # the root gives near surfaces more of the range of depths; float16, as the device stores pictures of whole rollouts
     seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
@@ -272,7 +275,7 @@ def picture_features(picture: NDArray[Any], layer: Callable[[str, Array], Array]
 
 
 def picture_shapes(card: PolicyCard, arrays: Mapping[str, Array]) -> tuple[dict[str, tuple[int, ...]], int]:
-    """Return shapes by name of the arrays that turn the picture of a card into features, and the number of features."""
+    """Return the shapes of the arrays that turn a card's picture into features, by name, and the number of features."""
     picture = picture_in(card.observations)
     if picture is None:
         return {}, 0
@@ -314,12 +317,12 @@ def affine(x: Array, columns: Array, bias: Array) -> Array:
 
 
 def picture_in(observations: tuple[str, ...]) -> str | None:
-    """Return which of `PICTURES` is among observations, if one is."""
+    """Return which of `PICTURES` is among some observations; None if none is."""
     return next((name for name in observations if name in PICTURES), None)
 
 
 def lengths(name: str, actions: int) -> tuple[int, int]:
-    """Return how many numbers an observation has, and its encoding, for a policy with ``actions`` numbers of an action."""
+    """Return the lengths of an observation and of its encoding, for a policy whose actions have ``actions`` numbers."""
     encoding = OF_COMMANDS[name]
     # an action with an arm has one number for each joint, from which the number of observed joints follows
     repeat = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0) if encoding.times == "joints" else 1
@@ -327,12 +330,12 @@ def lengths(name: str, actions: int) -> tuple[int, int]:
 
 
 def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
-    """Return the length of the encoded numbers and of the last action."""
+    """Return the total length of the encoded numbers and of the last action."""
     return sum(lengths(name, actions)[1] for name in observations if name not in PICTURES) + actions
 
 
 def picture_length(size: tuple[int, int]) -> int:
-    """Return the positions that are left after the convolutions of a picture (width, height) [pixels]."""
+    """Return the number of positions that remain after the convolutions of a picture (width, height) [pixels]."""
     width, height = (side // PATCH for side in size)
     for stride in STRIDES:
         # rounded up, as a window of 3 with a margin of 1 does
@@ -365,7 +368,7 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Arr
 
 
 def array_faults(arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """Return in words which arrays are missing, unknown, not finite or of another type or shape than expected by name."""
+    """Return, in words, which arrays are missing, unknown, not finite, or of another type or shape than expected."""
     faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
     faults += [f"unknown array {name}" for name in arrays if name not in shapes]
     for name, array in arrays.items():
@@ -379,7 +382,7 @@ def array_faults(arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ..
 
 
 def rows_in(arrays: Mapping[str, Array], name: str) -> int:
-    """Return the number of rows of an array; 0 if there is none, so that a damaged file gets a message about shapes."""
+    """Return the number of rows of an array, or 0 if it is missing from a damaged file."""
     return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 
 
@@ -388,7 +391,10 @@ Kind = TypeVar("Kind", bound=CardedNetwork)
 
 
 def save_policy(network: CardedNetwork, path: str | Path) -> None:
-    """Write an npz: ``format``, ``card`` (JSON) and the arrays. The file appears whole or not at all."""
+    """Write a policy as an npz file, which either appears complete or not at all.
+
+    Its entries are ``format``, ``card`` (JSON) and the arrays.
+    """
     text = {"format": np.array(FILE_FORMAT), "card": np.array(msgspec.json.encode(network.card).decode())}
     with part_file(path) as part, part.open("wb") as stream:
         np.savez(stream, **text, **network.arrays)  # type: ignore[arg-type]
@@ -397,12 +403,12 @@ def save_policy(network: CardedNetwork, path: str | Path) -> None:
 def policy_from(
     data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], Callable[..., Kind]]
 ) -> Kind:
-    """Return the policy in the arrays of a file.
+    """Return the policy in the arrays of a policy file.
 
     Args:
         data: Arrays by name.
         path: Path of the file, for messages.
-        kind_of: Returns the kind of network that a name on a card stands for.
+        kind_of: Function that returns the class of networks for the name on a card.
 
     Raises:
         FormatError: The file is damaged, or its parts do not fit together.

@@ -16,14 +16,17 @@ from sim_kinematic.policies.views import AgentView
 
 
 class WaypointPolicy(WaypointHuman):
-    """Scripted person of social navigation, who walks shortest paths to random points (paper section 4.1) and avoids nobody."""
+    """Scripted person of social navigation, who walks shortest paths to random points and avoids nobody.
+
+    The script follows the paper (section 4.1).
+    """
 
     def act(self, view: AgentView) -> WaypointAction | PoseAction:
         """Return the waypoint to walk to, or the next stride."""
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
     def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:
-        """Return the choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
+        """Return the choice for a position ``xz`` [2] and a heading, which are all the inputs of this policy."""
         if self.spec.stride is None:
             return WaypointAction(self.target(xz))
         x, z, turned = self.stride(xz, heading)
@@ -31,7 +34,7 @@ class WaypointPolicy(WaypointHuman):
 
 
 class WanderPolicy:
-    """Robot or person that goes from one random point to another and avoids the others (`sim_kinematic.policies.traffic`)."""
+    """Robot or person that moves between random points and avoids others (`sim_kinematic.policies.traffic`)."""
 
     takes_agent_view = True
 
@@ -40,7 +43,7 @@ class WanderPolicy:
         self._going: Skill | None = None
 
     def act(self, view: AgentView) -> GaitAction | Velocity:
-        """Return a step for a person, a velocity for a robot."""
+        """Return a step of the gait for a person, or a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
         # largest number of goals that are tried in one step, as some of them may have been reached already

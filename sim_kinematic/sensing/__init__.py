@@ -1,1 +1,1 @@
-"""Perception of agents: sensors, pictures, noise."""
+"""Perception of agents: sensors, pictures and noise."""

@@ -1,6 +1,7 @@
-"""Pictures among an agent's observations, by name, the same in all tasks.
+"""Pictures among an agent's observations, whose names are the same in all tasks.
 
-They are depth and colours of each of its cameras, and the output of the humanoid detector on the arm's camera.
+The pictures are depth and colours of each of the agent's cameras, the output of the humanoid detector on the arm's
+camera, and 3-D laser scans.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ if TYPE_CHECKING:
     from sim_kinematic.sensing.camera_sensor import StateRenderer
 
 DETECTORS = {"humanoid_detector": "found", "humanoid_mask": "mask", "humanoid_box": "box"}
-"""Observations that are parts of a `Detection`."""
+"""Names of the observations that are parts of a `Detection`."""
 LIDAR_3D = "lidar_3d"
-"""Distances of a 3-D laser scanner on top of a robot (`sim_kinematic.sensing.camera_sensor.StateRenderer.scans`)."""
+"""Name of the distances of a 3-D laser scanner on top of a robot
+(`sim_kinematic.sensing.camera_sensor.StateRenderer.scans`)."""
 ARM = "arm"
 PREFIX = "robot_"
 
 
 class Lens(NamedTuple):
-    """Camera of a picture, and the size of the picture [px]."""
+    """Camera of a picture, and the size of the picture [pixels]."""
 
     camera: str
     width: int
@@ -39,7 +41,7 @@ class Lens(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Bounds, shape and type of an observation, as `gymnasium.spaces.Box` takes them."""
+    """Bounds, shape and dtype of an observation, as `gymnasium.spaces.Box` takes them."""
 
     low: NDArray[Any] | float
     high: NDArray[Any] | float
@@ -50,8 +52,8 @@ class Limits(NamedTuple):
 def picture_names(body: Body) -> tuple[str, ...]:
     """Return the names of the pictures that a body can observe.
 
-    A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
-    one on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.
+    A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` for each of its cameras ``robot_CAMERA``, the `DETECTORS` if there
+    is a camera on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.
     """
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
@@ -83,12 +85,12 @@ class AgentPictures:
 
         Args:
             body: body of the agent.
-            names: its observations; those in `picture_names`, and names of the cameras of the body, are pictures.
-            agent: its number in the state.
-            depth_size: width and height of depth, masks and boxes [px]; None is each camera's own. The field of view does not
-                change.
-            rgb_size: width and height of colours, likewise.
-            sizes: width and height of single pictures by name, before the two above.
+            names: observations of the agent; those in `picture_names` and the body's cameras are pictures.
+            agent: number of the agent in the state.
+            depth_size: width and height of depth, masks and boxes [pixels]; None is each camera's own. The field of
+                view does not change.
+            rgb_size: width and height of colours [pixels]; None is each camera's own.
+            sizes: width and height of single pictures by name [pixels], which override the two other sizes.
 
         Raises:
             InputError: A size is less than 1 x 1 or too large.
@@ -121,9 +123,10 @@ class AgentPictures:
         return any(in_colour(name, self._body) for name in self.names)
 
     def limits(self, name: str) -> Limits:
-        """Return the limits of one world's picture.
+        """Return the limits of a named picture in one world.
 
-        Colours are uint8 [H, W, 3], the detector is float32 [1], a 3-D scan float32 [L, C] [m], others float32 [H, W, 1].
+        Colours are uint8 [H, W, 3], the detector's flag is float32 [1], a 3-D scan is float32 [L, C] [m], and others
+        are float32 [H, W, 1].
         """
         if name == LIDAR_3D:
             return Limits(0.0, SCAN_M, (LASERS, COLUMNS), np.float32)
@@ -133,7 +136,7 @@ class AgentPictures:
         return Limits(0.0, 1.0, (1,) if name == "humanoid_detector" else (lens.height, lens.width, 1), np.float32)
 
     def take(self, drawn: StateRenderer) -> dict[str, NDArray[Any]]:
-        """Return the pictures of all worlds as last posed, [W, ...]; depth in metres, 0 = nothing hit."""
+        """Return the pictures of all worlds as last posed, [W, ...]; depth is in metres, 0 where nothing was hit."""
         from sim_kinematic.sensing.camera_sensor import CameraSensor
 
         # pictures of one lens are rendered at once: depth and detector of the arm share a pass

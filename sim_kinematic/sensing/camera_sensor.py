@@ -1,7 +1,7 @@
 """Pictures of a `WorldState` from cameras on robots and people.
 
-`StateRenderer` poses home, robots, people and objects once per step. Any number of `CameraSensor` then take pictures of all
-worlds:
+A `StateRenderer` poses the home, robots, people and objects once per step. Any number of `CameraSensor` objects then
+take pictures of all worlds:
 
 ```python
 drawn = StateRenderer(scene, [robot, human], worlds=16)
@@ -38,11 +38,11 @@ from sim_kinematic.sensing.lidar import COLUMNS, ELEVATION_DEG, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 
 LIDARS: Registry[Any] = Registry("h3data.lidars", {}, what="lidar")
-"""Makers of laser scanners for a scene, such as `h3data_rays.LidarScanner`."""
+"""Makers of laser scanners for a scene, such as `h3data_rays.LidarScanner`, by name."""
 ROBOT_ID = 200
-"""Semantic id of robots in our recordings."""
+"""Semantic id of robots in h3data's recordings."""
 HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
-"""Size and field of view of the camera between a person's eyes."""
+"""Size [pixels] and horizontal field of view [degrees] of the camera between a person's eyes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class _Drawn:
 
 
 class StateRenderer:
-    """Renderer of a home with robots, people and objects in W worlds that differ in moving things. One per thread."""
+    """Renderer of a home with robots, people and objects in W worlds that differ in moving things; one per thread."""
 
     def __init__(
         self,
@@ -75,16 +75,16 @@ class StateRenderer:
         """Load the meshes of a home and its agents into a renderer.
 
         Args:
-            scene: the home, shared by all worlds.
+            scene: home, shared by all worlds.
             agents: bodies of the agents, robots first, as in the state.
             worlds: number of worlds W.
             objects: names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
-            speed_mps: walking speed of people, which selects their motion clips (default: `WalkerSpec`'s).
+            speed_mps: walking speed of people [m/s], which selects their motion clips (default: `WalkerSpec`'s).
             skinned: whether people are skinned meshes; otherwise they are the rigid capsules of their bones.
             light: light in ``rgb``, as for `h3data.replay.Replay`.
             lit_as: scene whose baked light the surfaces carry (default: ``scene``). It has the same instances, with doors and
                 drawers elsewhere, so that light is not baked again whenever one moves.
-            backend: back end of `h3data.render.Renderer`.
+            backend: backend of `h3data.render.Renderer`.
             threads: number of threads that render a batch.
         """
         self._meshes: list[Mesh] = []
@@ -119,13 +119,14 @@ class StateRenderer:
         self.renderer = Renderer(self.scene, light=self._light, backend=backend, worlds=worlds, threads=threads)
         self._frames: list[Array] = []
         self._shown: set[tuple[int, int, bool]] = set()
-        """Agent, world and level of detail (True: low) of the people whose meshes are skinned as last posed."""
+        """Agent, world and level of detail (True: low) of the people whose meshes have been skinned for the last
+        pose."""
         self._rigid: list[tuple[list[int], Array]] = []
-        """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
+        """Instances [n] of objects and of each robot, with their matrices [W, n, 4, 4] in the last pose."""
         self._lidar: Any = None
-        """Scanner of everything that never moves, for `scans`; built once."""
+        """Scanner of everything that never moves, used by `scans` and built once."""
         self._is_shaded = False
-        """True if shadows are those of what was last posed."""
+        """True if the shadows are up to date with the last pose."""
 
     @property
     def worlds(self) -> int:
@@ -138,7 +139,7 @@ class StateRenderer:
         return tuple(drawn.body for drawn in self._agents)
 
     def instances(self, agent: int) -> tuple[int, ...]:
-        """Return the ids of an agent in ``instance`` pictures, which `detect_humanoids` takes for a person."""
+        """Return the ids of an agent in ``instance`` pictures, which `detect_humanoids` takes as a person's."""
         return tuple(self._agents[agent].instances)
 
     def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:
@@ -185,9 +186,9 @@ class StateRenderer:
 
     # --- posing -----------------------------------------------------------------------------------------------------------
     def pose(self, state: WorldState, *, floor: Floor = 0.0, frames: Sequence[Array] | None = None) -> None:
-        """Pose everything as in the state, on a map or at the height ``floor`` [m].
+        """Pose everything as in a state, on a floor map or at a floor height ``floor`` [m].
 
-        ``frames`` are the agents' `body_frames`, where somebody has them already or poses them otherwise.
+        ``frames`` are the agents' `body_frames`, if the caller has computed them or poses the agents in another manner.
         """
         if state.object_pose.shape[:2] != (self.worlds, len(self._objects)):
             raise InputError(
@@ -232,9 +233,10 @@ class StateRenderer:
         return self._frames[agent]
 
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
-        """Return a camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between the eyes.
+        """Return a camera of an agent in all worlds: a robot's camera by ``name``, or the one between a person's eyes.
 
-        ``size``: width and height [pixels] instead of the camera's own; its field of view stays.
+        The cameras are at their places in the last pose. ``size`` is a width and height [pixels] instead of the
+        camera's own; the field of view does not change.
         """
         frames, body = self._posed(agent), self._agents[agent].body
         if isinstance(body, Robot):
@@ -249,7 +251,7 @@ class StateRenderer:
         return [camera.at(pose) for pose in poses]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
-        """Render N cameras per world and return arrays by output, each [N * W, H, W', ...].
+        """Render N cameras per world and return arrays by the name of the output, each [N * W, H, W', ...].
 
         The first cameras of all worlds come first (`h3data.render.Renderer.render`).
         """
@@ -264,13 +266,14 @@ class StateRenderer:
         return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
 
     def scans(self, agent: int) -> Array:
-        """Return distances that a 3-D laser scanner on top of a robot measures in all worlds, as last posed, [W, L, C] [m].
+        """Return the distances that a 3-D laser scanner on top of a robot measures in all worlds, [W, L, C] [m].
 
-        Its `LASERS` are spread over `ELEVATION_DEG`; column 0 of the `COLUMNS` looks forward, the others follow to the left.
-        It sees every surface but the robot's own; rays that meet none within `SCAN_M` measure that. Needs the extra ``rays``.
+        The scanner's `LASERS` are spread over `ELEVATION_DEG`. Column 0 of the `COLUMNS` looks forward, and the others
+        follow to the left. The scanner sees every surface except the robot's own; rays that hit nothing within `SCAN_M`
+        return `SCAN_M`. The scans show the last pose. They need the extra ``rays``.
 
         Raises:
-            InputError: The agent is no robot, or nothing is posed.
+            InputError: The agent is not a robot, or nothing has been posed.
             MissingExtraError: Embree is not installed.
         """
         body = self._agents[agent].body if 0 <= agent < len(self._agents) else None
@@ -348,7 +351,7 @@ def recorded_matrix(instance: Instance) -> Array:
 
 
 def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
-    """Return a grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
+    """Return a grey mesh for each capsule, in the frame in which a `h3data.scene.records.Capsule` stands along y."""
     import trimesh
 
     # trimesh's capsules stand along z
@@ -372,14 +375,14 @@ class CameraSensor:
     """Named camera of an agent with its outputs, such as depth, colours or ids."""
 
     camera: str = "robot_arm"
-    """Name of the robot's camera; a person has only one."""
+    """Name of the robot's camera; a person has only one camera."""
     agent: int = 0
-    """Number of the agent that carries the camera."""
+    """Number of the agent that has the camera."""
     outputs: tuple[Output, ...] = ("depth",)
     depth_range_m: tuple[float, float] | None = None
     """Range to which depth is clipped before it is scaled to 0..1, as in Habitat [m]; None: depth stays in metres."""
     size: tuple[int, int] | None = None
-    """Width and height [pixels] instead of the camera's own; its field of view stays."""
+    """Width and height [pixels] instead of the camera's own; the field of view does not change."""
 
     def __post_init__(self) -> None:
         if self.depth_range_m is not None and not 0 <= self.depth_range_m[0] < self.depth_range_m[1] < float("inf"):
@@ -388,7 +391,7 @@ class CameraSensor:
             )
 
     def observe(self, drawn: StateRenderer) -> dict[str, Any]:
-        """Return pictures of all worlds as last posed, by output, each [W, H, W', ...]."""
+        """Return the pictures of all worlds in the last pose by the name of the output, each [W, H, W', ...]."""
         cameras = drawn.cameras(self.camera, agent=self.agent, size=self.size)
         pictures = drawn.picture(cameras, self.outputs)
         if self.depth_range_m is not None and "depth" in pictures:

@@ -1,7 +1,8 @@
-"""Encodings of sensors for networks, chosen by units and bounds of the rows of the table.
+"""Encodings of sensors for networks, chosen by the units and bounds in the table of sensors.
 
-A family of networks has one encoding for each kind of number, with which its files of weights were trained. So an encoding must
-not change. NumPy and PyTorch evaluate the same functions ``of(xp, seen)``, which turn numbers [..., given] into [..., length].
+A family of networks has one encoding for each kind of number, with which its files of weights were trained, so an
+encoding must never change. NumPy and PyTorch evaluate the same functions ``of(xp, seen)``, which convert numbers [...,
+given] to [..., length].
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import HUMANOID_GPS, OF_SKILLS, SENSES, TABLE, Sensor, Times
 
 SPEED_MPS = 2.5
-"""Divisor of velocities and ranges, the robot's speed limit [m/s]."""
+"""Divisor of velocities and ranges, which is the robot's speed limit [m/s]."""
 DETECTOR = "humanoid_detector"
 """Name of a flag that is computed from a picture, and is therefore not in the table."""
 _FLAG = Sensor(abs, (0.0,), (1.0,))
@@ -23,7 +24,7 @@ _FLAG = Sensor(abs, (0.0,), (1.0,))
 
 
 class Encoding(NamedTuple):
-    """Conversion of the numbers of one unit of a sensor to inputs of a network."""
+    """Conversion of a sensor's numbers of one unit to inputs of a network."""
 
     of: Callable[[Any, Any], Any]
     given: int
@@ -89,13 +90,13 @@ def _of_choices(sensor: Sensor) -> Encoding:
 
 
 OF_SOCIAL_NAV = (HUMANOID_GPS, DETECTOR, "humanoid_velocity", "egomotion", "way", "range_scan")
-"""Numbers that networks of social navigation read."""
+"""Names of the observations that networks of social navigation read."""
 OF_COMMANDS: Mapping[str, Encoding] = {
     name: _of_commands(_FLAG if name == DETECTOR else TABLE[name])
     for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))
 }
-"""Observations that networks of commands read together with a picture."""
+"""Encodings of the observations that networks of commands read together with a picture, by name."""
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
 } | {DETECTOR: _of_choices(_FLAG)}
-"""Observations that networks of choices can read, besides the sensors that are among their choices."""
+"""Encodings of the observations that networks of choices can read, by namein addition to the sensors of choices."""

@@ -1,4 +1,4 @@
-"""Pictures of one agent in one world for policies that request them, equal to those of training environments."""
+"""Pictures of one agent in one world, for policies that request them, equal to those of training environments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim_kinematic.sensing.camera_sensor import StateRenderer
 from sim_kinematic.sensing.sensor import scaled_depth
 
 PictureSize = tuple[int, int] | Mapping[str, tuple[int, int]] | None
-"""Width and height of all pictures, or of some by name [pixels]; None: that of each camera."""
+"""Width and height of all pictures, or of some by name [pixels]; None: those of each camera."""
 
 
 def see(
@@ -37,17 +37,17 @@ def see(
     light: LightMode = "flat",
     lit_as: Scene | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Return named pictures of an agent without noise, scaled as `sim_kinematic.sensing.observation_set` does.
+    """Return named pictures of an agent without noise, scaled as in `sim_kinematic.sensing.observation_set`.
 
     Args:
-        state: One world.
-        scene: The home.
+        state: State of one world.
+        scene: Home of the world.
         bodies: Bodies of all agents in the order of the state.
         names: Some of `sim_kinematic.sensing.agent_pictures.picture_names` and of the names of the cameras of the body.
         agent: Number of the agent whose cameras are used.
         size: Width and height [pixels], one for all or by name of a picture; None is each camera's own.
         floor: Map of the home's floor, or the height of that floor [m].
-        speed_mps: Speed at which people walk, which selects their clips.
+        speed_mps: Walking speed of people [m/s], which selects their motion clips.
         objects: Names of the instances that the state moves.
         frames: Frames of all agents, as in `StateRenderer.pose`.
         light: Light in ``*_rgb``; nothing else depends on it.
@@ -83,6 +83,9 @@ def shared_renderer(
     lit_as: Scene | None,
     thread: int,
 ) -> StateRenderer:
-    """Return the renderer of a thread (`threading.get_ident`) for one world of a home; arguments as of `StateRenderer`."""
+    """Return the renderer of a thread (`threading.get_ident`) for one world of a home, cached between calls.
+
+    The other arguments are those of `StateRenderer`.
+    """
     del thread  # a renderer must not be shared between threads
     return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps, light=light, lit_as=lit_as)

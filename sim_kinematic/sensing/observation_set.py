@@ -1,6 +1,6 @@
-"""Observations of one agent of a training environment: their names, spaces and noise.
+"""Observations of one agent of a training environment, with their names, spaces and noise.
 
-Needs the extra ``env``.
+This module needs the extra ``env``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class ObservationSet:
-    """Named observations of an agent, made of exact values by adding noise, scaling depth and clipping to `space`."""
+    """Named observations of an agent, made from exact values by adding noise, scaling depth and clipping to `space`."""
 
     def __init__(
         self,
@@ -54,10 +54,10 @@ class ObservationSet:
             names: some of ``states`` and of the body's `picture_names`, as `checked_names` returns them.
             states: limits of observations that are not pictures.
             body: body of the agent.
-            agent: its number in the state.
-            depth_size: as for `AgentPictures`.
-            rgb_size: as for `AgentPictures`.
-            sizes: as for `AgentPictures`.
+            agent: number of the agent in the state.
+            depth_size: width and height of depth, masks and boxes [pixels], as for `AgentPictures`.
+            rgb_size: width and height of colours [pixels], as for `AgentPictures`.
+            sizes: width and height of single pictures by name [pixels], as for `AgentPictures`.
             noise: noise model by name of an observation; others are exact.
 
         Raises:
@@ -75,7 +75,7 @@ class ObservationSet:
         }
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
         self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
-        """Names of numbers that are only clipped, which is done for all of them at once."""
+        """Names of the observations that are only clipped, which is done for all of them at once."""
         self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
         sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
         self._low, self._high = (
@@ -88,13 +88,13 @@ class ObservationSet:
         return gymnasium.spaces.Dict({name: box(self.limits[name]) for name in self.names})
 
     def take(self, drawn: StateRenderer) -> Arrays:
-        """Return the exact pictures of all worlds as last posed, [W, ...], if there are pictures among the names."""
+        """Return the exact pictures of all worlds in the last pose, [W, ...]; empty if no observation is a picture."""
         return self.pictures.take(drawn) if self.pictures.names else {}
 
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
-        """Return observations [W, ...] for exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
+        """Return observations [W, ...] for exact values [W, ...]: with noise, scaled depth, and clipping.
 
-        Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
+        The noise is determined by the episodes' ``seeds`` [W] and ``steps`` [W].
         """
         shown = self._clipped(exact) if self._plain else {}
         if len(shown) == len(self.names):
@@ -153,7 +153,7 @@ def box(limits: Limits) -> gymnasium.spaces.Box:
 
 
 def split_sizes(names: Sequence[str]) -> tuple[Sequence[str], dict[str, tuple[int, int]]]:
-    """Split names such as ``robot_arm@224x224`` into the names of observations and the sizes of pictures by name [px].
+    """Split names such as ``robot_arm@224x224`` into names of observations, and sizes of pictures by name [pixels].
 
     Raises:
         InputError: a side is 0 or too large, or one picture has two sizes.
@@ -171,7 +171,7 @@ def split_sizes(names: Sequence[str]) -> tuple[Sequence[str], dict[str, tuple[in
 def checked_names(
     names: Sequence[str], *known: Collection[str], noise: Collection[str] = ()
 ) -> tuple[tuple[str, ...], ...]:
-    """Return for each of some agents the observations of ``names`` that are ``known`` for it, each once.
+    """Return, for each agent, the observations of ``names`` that are ``known`` for it, without duplicates.
 
     Raises:
         InputError: no agent has one of the observations, or ``noise`` names one that is not among them.

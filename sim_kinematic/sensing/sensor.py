@@ -1,9 +1,9 @@
 """Observations of agents as pure functions on arrays with any leading axes (worlds first), in float64 and SI units.
 
-Functions with the argument ``xp``, an array namespace, are the same on the CPU (``numpy``) and on a device (``torch``), where
-all arguments are tensors. `sim_kinematic.sensing.table` makes sensors of them. Places on the floor are ``(x, z)``, and headings
-are those of h3data docs conventions. Where Habitat has the same sensor, the values are Habitat's, and
-tests/sim/sensing/test_sensors.py compares them with outputs of its code. All values are exact; `with_noise` and
+Functions with the argument ``xp``, an array namespace, are the same on the CPU (``numpy``) and on a device (``torch``),
+where all arguments are tensors. `sim_kinematic.sensing.table` makes sensors of these functions. Places on the floor are
+``(x, z)``, and headings follow h3data docs conventions. Where Habitat has the same sensor, the values are Habitat's,
+and tests/sim/sensing/test_sensors.py compares them with outputs of its code. All values are exact; `with_noise` and
 `depth_with_noise` add noise. Pictures are in `sim_kinematic.sensing.camera_sensor`.
 """
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 
 HUMAN_ID = 100
-"""Semantic id of people, in Habitat and in our recordings."""
+"""Semantic id of people, in Habitat and in h3data's recordings."""
 DETECTED_PIXELS = 1000
 """Number of pixels above which a person counts as detected in a picture, as in Habitat."""
 DEPTH_RANGE_M = (0.0, 10.0)
-"""Range to which observed depth is clipped, then scaled to 0..1, as in Habitat [m]."""
+"""Range to which observed depth is clipped before it is scaled to 0..1, as in Habitat [m]."""
 FAR_M = 1000.0
-"""Length for a path that does not exist [m]; no home is as large."""
+"""Length that stands for a path that does not exist [m]; it is larger than any home."""
 FAST = 10.0
-"""Bound of velocities [m/s, rad/s]: four times the robot's limits."""
+"""Bound of observed velocities [m/s, rad/s], which is four times the robot's limits."""
 RANGES = 12
 """Number of rays of `range_scan`, one every 30 degrees."""
 RANGE_M = 2.0
@@ -49,7 +49,7 @@ def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> A
 
 # --- where things are ---------------------------------------------------------------------------------------------------
 def stacked(xp: Any, *columns: Any) -> Any:
-    """Return columns [...] of numbers side by side, [..., n]; on the CPU columns may be numbers, but for the first."""
+    """Return columns [...] of numbers side by side, [..., n]; on the CPU all columns but the first may be numbers."""
     if xp is not np:
         return xp.stack(columns, -1)
     # for a few numbers `np.stack` takes three times as long
@@ -68,7 +68,7 @@ def _wrapped(xp: Any, angle: Any) -> Any:
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at [..., 2] with heading [...]."""
+    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at ``robot_xz`` [..., 2]."""
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
@@ -103,8 +103,8 @@ def _in_frames(gap, heading):
 def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
     """Return the polar positions of points: ``(distance [m], angle [rad])`` [..., 2]; angles are positive to the RIGHT.
 
-    For a person this is Habitat's ``goal_to_agent_gps_compass``, the paper's humanoid GPS; for a navigation goal, its
-    point-goal; for objects and goals its ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
+    For a person this is Habitat's ``goal_to_agent_gps_compass``, the humanoid GPS of the paper. For a navigation goal
+    it is Habitat's point-goal, and for objects and their goals ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
     """
     seen = in_base_frame(robot_xz, heading, point_xz, xp=xp)
     ahead, left = seen[..., 0], seen[..., 1]
@@ -113,7 +113,7 @@ def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> 
 
 
 def other_agent_gps(own_xz: Any, other_xz: Any, *, xp: Any = np) -> Any:
-    """Return the own position minus the other's in world axes ``(x, z)`` [..., 2] [m], as in Habitat: without heading."""
+    """Return an agent's position minus the other's in world axes ``(x, z)``, [..., 2] [m], as in Habitat."""
     if xp is np:
         own_xz, other_xz = np.asarray(own_xz, np.float64), np.asarray(other_xz, np.float64)
     return own_xz - other_xz
@@ -129,19 +129,22 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Return whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
+    """Return whether the other agent is in an ellipse around the base, with half axes ``ahead_m`` and ``aside_m``."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 
 
 def localization(xz: Any, heading: Any, floor_y: Any = 0.0, *, xp: Any = np) -> Any:
-    """Return ``(x, y, z, heading)`` [..., 4] of a base, with the heading in [-pi, pi)."""
+    """Return the pose ``(x, y, z, heading)`` [..., 4] of a base in the world, with the heading in [-pi, pi)."""
     place: Any = np.asarray(xz, np.float64) if xp is np else xz
     return stacked(xp, place[..., 0], floor_y, place[..., 1], _wrapped(xp, heading))
 
 
 def localization_in_start_frame(start_xz: Any, start_heading: Any, xz: Any, heading: Any, *, xp: Any = np) -> Any:
-    """Return ``(x, y, z, heading)`` [..., 4] of a base in the agent root frame of its start: x forward, y up, z right."""
+    """Return the pose ``(x, y, z, heading)`` [..., 4] of a base in the agent root frame of its start.
+
+    In this frame x is forward, y up and z to the right.
+    """
     seen = in_base_frame(start_xz, start_heading, xz, xp=xp)
     # the root frame's z points to the right, and base frames have left positive
     return stacked(xp, seen[..., 0], xp.zeros_like(seen[..., 0]), -seen[..., 1], _turned(xp, start_heading, heading))
@@ -155,10 +158,10 @@ def _turned(xp: Any, before: Any, now: Any) -> Any:
 
 
 def in_frame(pose: ArrayLike, points: ArrayLike) -> Array:
-    """Return world points [..., K, 3] in the frame of a pose7 [..., 7], shape [..., K, 3] [m].
+    """Return world points [..., K, 3] in the frame of a pose7 [..., 7], as [..., K, 3] [m].
 
-    With the robot's start pose: object and goal positions in its start frame (paper appendix); with the hand's pose:
-    Habitat's ``obj_start_sensor`` and ``obj_goal_sensor``.
+    With the robot's start pose, these are the object and goal positions in its start frame (paper appendix). With the
+    hand's pose, they are Habitat's ``obj_start_sensor`` and ``obj_goal_sensor``.
     """
     # one more axis, so that one pose goes with all K points
     p = np.asarray(pose, np.float64)[..., None, :]
@@ -168,7 +171,7 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Array:
 def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float = STEP_S, xp: Any = np) -> Any:
     """Return the velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
 
-    It is the velocity over the ground, not relative to the robot.
+    The velocity is measured over the ground, not relative to the robot.
 
     Args:
         robot_heading: heading of the base [...] [rad].
@@ -182,10 +185,10 @@ def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float 
 
 
 def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Return the shortest path from a base, by the map: ``(length [m], initial angle [rad])`` [..., 2].
+    """Return the shortest path from a base on the map, as ``(length [m], initial angle [rad])`` [..., 2].
 
-    The angle is that of a point on the path [..., 2] (`first_point`), positive to the RIGHT. ``length_m`` [...] is that of
-    `FreeSpace.geodesic`; a path that does not exist counts as `FAR_M` long and straight ahead.
+    The angle is the direction of a point on the path [..., 2] (`first_point`), positive to the RIGHT. ``length_m``
+    [...] is the length from `FreeSpace.geodesic`; a path that does not exist counts as `FAR_M` long and straight ahead.
     """
     angle = gps_compass(xz, heading, point_xz, xp=xp)[..., 1]
     return stacked(xp, length_m.clip(None, FAR_M), xp.where(xp.isfinite(length_m), angle, 0.0))
@@ -194,7 +197,7 @@ def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) ->
 def first_point(free: FreeSpace, xz: Array, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Array:
     """Return the first waypoint from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
 
-    It is ``xz`` where there is no path, whose length ``length_m`` is infinite.
+    The result is ``xz`` if there is no path, in which case ``length_m`` is infinite.
     """
     return free.next_waypoint(xz, goal_xz, beyond_m=beyond_m) if np.isfinite(length_m) else xz
 
@@ -202,9 +205,10 @@ def first_point(free: FreeSpace, xz: Array, goal_xz: ArrayLike, length_m: float,
 def path_points(
     free: FreeSpace, xz: ArrayLike, goal_xz: ArrayLike, lengths_m: Sequence[float], *, max_snap_m: float
 ) -> Array:
-    """Return the points at some lengths [n] of the shortest path from ``xz`` [2] to ``goal_xz`` [2], [n, 2] [m].
+    """Return the points at given lengths [n] of the shortest path from ``xz`` [2] to ``goal_xz`` [2], [n, 2] [m].
 
-    On a shorter path it is the end, and where there is no path they are on the straight line.
+    If the path is shorter than a length, the point is its end. If there is no path, the points are on the straight
+    line.
     """
     path = free.path(xz, goal_xz, max_snap_m=max_snap_m)
     if len(path) < 2:
@@ -214,12 +218,12 @@ def path_points(
 
 
 def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: Any = np) -> Any:
-    """Return the free distance around bases [..., 2] as a laser scanner in their middle measures it, [..., RANGES] [m].
+    """Return the free distance around bases [..., 2] that a laser scanner in their middle measures, [..., RANGES] [m].
 
-    ``clearance`` gives the distance [..., RANGES] [m] of points [..., RANGES, 2] to the nearest obstacle, negative inside of
-    one, as `FreeSpace.signed_distance` does. The first direction is straight ahead, the others follow to the LEFT. Distances
-    are at most `RANGE_M`; people are not seen. The method is sphere tracing (Hart, 1996) with eight strides: a ray
-    that grazes a wall may end too early.
+    ``clearance`` returns the distance [..., RANGES] [m] of points [..., RANGES, 2] to the nearest obstacle, negative
+    inside one, as `FreeSpace.signed_distance` does. The first direction is straight ahead, and the others follow to the
+    LEFT. Distances are at most `RANGE_M`; people are not seen. The method is sphere tracing (Hart, 1996) with eight
+    strides: a ray that grazes a wall may end too early.
     """
     if xp is np:
         xz, heading = np.asarray(xz, np.float64), np.asarray(heading, np.float64)
@@ -245,19 +249,19 @@ def egomotion(
     dt: float = STEP_S,
     xp: Any = np,
 ) -> Any:
-    """Return the velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
+    """Return a base's velocity in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
     # by the old heading, along which `integrate` moves, so that a turn adds no part to the left
     moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
 
 def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Array:
-    """Return positions of the arm's joints [..., n] of all [..., J]; `h3data.bodies.Robot.arm_columns` names them."""
+    """Return the positions of the arm's joints [..., n], selected from those of all joints [..., J]."""
     return np.asarray(joints, np.float64)[..., list(columns)]
 
 
 def is_holding(held_by: ArrayLike, agent: int = 0) -> Array:
-    """Return 1 where the agent holds something, else 0, shape [...] of holders [..., O]."""
+    """Return 1 if an agent holds an object, else 0, [...], given the holders of all objects [..., O]."""
     return (np.asarray(held_by) == agent).any(axis=-1).astype(np.float64)
 
 
@@ -266,12 +270,12 @@ class Detection(NamedTuple):
     """Output of the humanoid detector for pictures [..., H, W]."""
 
     found: NDArray[np.float32]
-    """Value 1 if more than `DETECTED_PIXELS` pixels show a person, else 0, shape [...]."""
+    """1 if more than `DETECTED_PIXELS` pixels show a person, else 0, shape [...]."""
     mask: NDArray[np.float32]
-    """Value 1 in the pixels that show a person, else 0, shape [..., H, W]."""
+    """1 in the pixels that show a person, else 0, shape [..., H, W]."""
     box: NDArray[np.float32]
-    """Value 1 in the rectangle around these pixels, else 0, shape [..., H, W]. As in Habitat, the last row and the last
-    column are left out."""
+    """1 in the rectangle around the pixels that show a person, else 0, shape [..., H, W]. As in Habitat, the last row
+    and the last column of the rectangle are left out."""
 
 
 def detect_humanoids(
@@ -279,8 +283,8 @@ def detect_humanoids(
 ) -> Detection:
     """Apply the humanoid detector to pictures of ids [..., H, W].
 
-    The ids are those of ``semantic`` with the default, or of ``instance`` with the numbers of the instances that are
-    people.
+    The pictures are ``semantic`` pictures by default, or ``instance`` pictures if ``human`` has the ids of the people
+    in them.
     """
     mask = np.isin(np.asarray(ids), human)
     if mask.ndim < 2:
@@ -326,12 +330,12 @@ def _facing(gap, heading):
 
 # --- noise: off unless called -------------------------------------------------------------------------------------------
 NoiseModel = Callable[..., ArrayLike]
-"""Function ``model(values, rng=rng)`` that adds noise to exact values of a sensor, such as `depth_with_noise` and
+"""Function ``model(values, rng=rng)`` that adds noise to the exact values of a sensor, such as `depth_with_noise` and
 ``partial(with_noise, sigma=0.05)``."""
 
 
 def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Array:
-    """Return values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
+    """Return values with Gaussian noise of a standard deviation, one for all or one per value, in their unit."""
     exact = np.asarray(values, np.float64)
     return exact + np.asarray(sigma, np.float64) * rng.standard_normal(exact.shape)
 

@@ -1,8 +1,8 @@
 """Memories of the things that agents in one home have seen, and of places where things may lie.
 
-Walls and furniture are known from the start. A thing is known once a ray from an agent's eyes meets it, and stays known where
-it was last seen, until that place is seen without it. A place has been looked at once a ray meets its middle; one that is shut
-has to be open for that.
+Walls and furniture are known from the start. A thing becomes known when a ray from an agent's eyes hits it. It stays
+known at the place where it was last seen, until that place is seen without it. A place has been looked at when a ray
+hits its middle; a closed place has to be open for that.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from sim_kinematic.motion.state import NOBODY
 
 Flags = NDArray[np.bool_]
 HALF_VIEW = math.radians(55.0)
-"""Largest angle on the floor plane between an agent's heading and what it sees [rad]."""
+"""Largest angle on the floor plane between an agent's heading and the things that it sees [rad]."""
 THING_M, PLACE_M = 8.0, 5.0
 """Largest distances at which things and places are recognized [m]."""
 NEAR_M = 1.2
-"""Distance within which an agent sees in all directions [m]: it turns its head."""
+"""Distance within which an agent sees in all directions, because it turns its head [m]."""
 LOOK_STEPS = 6
 """Number of steps between two looks."""
 MARGIN_M = 0.04
-"""Distance from a point within which furniture does not hide it, because the thing stands on it or lies in it [m]."""
+"""Distance from a point within which furniture does not hide it, because the thing stands on or lies in that furniture
+[m]."""
 MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
 """Distance of a thing from where it was seen beyond which it has been moved [m]; height above the surface of a place at which
 agents look at it [m]; height of a person's eyes as a share of their stature (Drillis and Contini 1966)."""
@@ -45,22 +46,23 @@ class Places(NamedTuple):
     points: NDArray[np.float64]
     """Centre of each surface, [S, 3] [m]."""
     looked: Flags
-    """True for each surface that the agent has checked, [S]."""
+    """True for each surface that the agent has already checked, [S]."""
     shut: NDArray[np.int64]
-    """Number of the door or drawer that has to be opened first, [S]; -1: none."""
+    """Number of the door or drawer that has to be opened before each surface can be seen, [S]; -1: none."""
 
 
 class Boxes(NamedTuple):
     """Walls and furniture that hide things, as boxes."""
 
     turned: NDArray[np.float64]
-    """Rotation from the world to the axes of each box [B, 3, 3]."""
+    """Rotation matrix from the world to the axes of each box, [B, 3, 3]."""
     centers: NDArray[np.float64]
     """Centre of each box [B, 3] [m]."""
     halves: NDArray[np.float64]
     """Half of the size of each box, [B, 3] [m]."""
     bounds: NDArray[np.float64]
-    """Bounds of the furniture of each box, or of the box itself, from the middle of the box [B, 2, 3] [m]."""
+    """Bounds of the furniture that each box belongs to, or of the box itself, relative to the middle of the box, [B, 2,
+    3] [m]."""
 
 
 class Sight:
@@ -92,31 +94,31 @@ class Sight:
         self._joints = [joints.enclosing.get(name, ()) for name in self.names]
         self._eyes = np.array([floor_y + eye_height(body) for body in bodies])
         self.known = np.zeros((len(bodies), things), np.bool_)
-        """True if an agent knows where a thing is, [A, K]."""
+        """True if an agent knows the place of a thing, [A, K]."""
         self.where = np.full((len(bodies), things, 3), np.nan)
-        """Last known position of each thing [A, K, 3] [m]."""
+        """Last known position of each thing for each agent, [A, K, 3] [m]."""
         self.held = np.full((len(bodies), things), NOBODY)
-        """Last known holder of each thing [A, K]."""
+        """Last known holder of each thing for each agent, [A, K]."""
         self.looked = np.zeros((len(bodies), len(surfaces)), np.bool_)
         self.shut = np.full(len(surfaces), -1)
-        """The first door or drawer [S] that has to be opened to look at each place; -1: none."""
+        """First door or drawer that has to be opened to look at each place, [S]; -1: none."""
         self.hidden = np.zeros(things, np.bool_)
-        """Things that are behind something closed, [K]."""
+        """True for things that are behind a closed door or in a closed drawer, [K]."""
 
     def open(self, is_open: Flags) -> None:
-        """Note which doors and drawers are open, [J]."""
+        """Store which doors and drawers are open, given as bool [J]."""
         first = (next((k for k in needed if not is_open[k]), -1) for needed in self._joints)
         self.shut = np.fromiter(first, np.int64, len(self._joints))
 
     def look(
         self, places: NDArray[np.float64], positions: NDArray[np.float64], held_by: NDArray[np.integer]
     ) -> list[tuple[int, int, bool]]:
-        """Take in what all agents see now.
+        """Update the memories of all agents with the things and places that they see now.
 
         Args:
             places: ``(x, z, heading)`` of each agent [A, 3].
             positions: positions of the things [K, 3] [m].
-            held_by: who holds each, [K].
+            held_by: number of the agent that holds each thing, [K].
 
         Returns:
             Agent, thing, and True if it has become known, or False if it is not where it was, for each change.
@@ -143,7 +145,7 @@ class Sight:
         return changes
 
     def sees(self, eye: NDArray[np.float64], heading: float, points: NDArray[np.float64], things: int) -> Flags:
-        """Return which points [N, 3] an eye [3] sees that looks along a heading [rad]; the first ``things`` are things."""
+        """Return whether an eye [3] that looks along a heading [rad] sees each point [N, 3], as bool [N]."""
         seen = np.empty(len(points), np.bool_)
         _see(eye, float(heading), points, things, *self.boxes, seen)
         return seen
@@ -194,7 +196,7 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
 
 
 def eye_height(body: Body) -> float:
-    """Return the height of an agent's eyes [m]: of a robot, its highest camera at rest, or else the top of its body."""
+    """Return the height of an agent's eyes [m]: a robot's highest camera at rest, or else the top of its body."""
     if not isinstance(body, Robot):
         return EYE_SHARE * body.height_m
     links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
@@ -202,5 +204,5 @@ def eye_height(body: Body) -> float:
 
 
 def surface_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names ``instance|receptacle`` of the surfaces of a home, as `SEARCH` numbers them."""
+    """Return the names ``instance|receptacle`` of the surfaces of a home, in the order of their numbers in `SEARCH`."""
     return tuple(f"{instance.name}|{receptacle.name}" for instance, receptacle in scene.receptacles())

@@ -1,8 +1,8 @@
-"""Table of the sensors of all tasks except pictures, with one row per sensor.
+"""Table of the sensors of all tasks, except pictures, with one row per sensor.
 
 A row is a function of a `Context` over its array namespace. So the same row serves environments and policies on the CPU
-(``numpy``), files of weights, training, and worlds on a device (``torch``). A task adds a sensor of its own as one more row:
-`Task.sensors` returns ``{**SENSORS, "goal": Sensor(...)}``.
+(``numpy``), files of weights, training, and worlds on a device (``torch``). A task adds a sensor of its own as one more
+row: `Task.sensors` returns ``{**SENSORS, "goal": Sensor(...)}``.
 """
 
 from __future__ import annotations
@@ -38,28 +38,30 @@ if TYPE_CHECKING:
     from sim_kinematic.world import World
 
 NEARER_M = 3.0
-"""Largest distance by which an agent can get nearer to anything within a second [m]."""
+"""Largest distance by which an agent can get nearer to any point within a second [m]."""
 AHEAD_M = (1.0, 2.5)
-"""Lengths of the shortest path after which ``path_ahead`` gives points, for 0.4 s and 1 s at the robot's largest speed [m]."""
+"""Lengths along the shortest path at which ``path_ahead`` returns points [m]: the paths of 0.4 s and 1 s at the robot's
+largest speed."""
 Times = Literal["once", "objects", "joints", "choices", "parts"]
 Ending = Literal["done", "failed", "aborted"]
 
 
 class Pose(NamedTuple):
-    """Poses of bases."""
+    """Poses of the bases of agents."""
 
     xz: Any
-    """Place on the floor [..., 2] [m]."""
+    """Position on the floor [..., 2] [m]."""
     heading: Any
     """Heading [...] [rad]."""
 
 
 # every field is Any: the same rows read arrays and tensors, and a context has only the fields of its own sensors
 class Context(Protocol):
-    """Input of sensors: the state of one agent in each of some worlds [...]. Fields that no sensor reads may be missing.
+    """Input of sensors: the state of one agent in each of some worlds [...]; fields that are not read may be missing.
 
-    Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before`` have
-    ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K, 3].
+    Arrays belong to the namespace ``xp``. ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before``
+    have ``xz`` and ``heading``, like a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K,
+    3].
     """
 
     xp: Any
@@ -69,14 +71,14 @@ class Context(Protocol):
     before: Any
     start: Any
     other: Any
-    """State of the other agent."""
+    """Pose of the other agent."""
     other_before: Any
     contact: Any
     """True if the agent touched an obstacle in the last step, bool [...]."""
     touching: Any
-    """True if the agent touches another one, bool [...]."""
+    """True if the agent touches another agent, bool [...]."""
     arm: Any
-    """Positions of the arm's joints [..., n]; for a person [..., 0]."""
+    """Positions of the arm's joints [..., n] [rad or m]; empty [..., 0] for a person."""
     held_by: Any
     """Number of the agent that holds each object, [..., K]."""
     objects: Any
@@ -87,22 +89,22 @@ class Context(Protocol):
     close: Any
     """True if the other agent is inside the ellipse in which skills may be interrupted, bool [...]."""
     handles: Any
-    """Handles of the M doors and drawers that agents may open, at rest [..., M, 3] [m]."""
+    """Positions of the handles of the M doors and drawers that agents may open, at rest, [..., M, 3] [m]."""
     open_parts: Any
     """True if the door or drawer is at least ajar, bool [..., M]."""
     steps: Any
-    """Number of steps since the episode began [...]."""
+    """Number of steps since the start of the episode [...]."""
     target: Any
     """Target of a skill [..., 3] [m]."""
     resting: Any
     """Place of the hand at rest [..., 3] [m]."""
 
     def floor_y(self) -> Any:
-        """Return heights of the floor where the agent is, [...] [m]."""
+        """Return the height of the floor at the agent, [...] [m]."""
         ...
 
     def path(self) -> tuple[Any, Any]:
-        """Return the shortest path to the agent's goal: its length [...] [m] and a point near its beginning [..., 2] [m]."""
+        """Return the shortest path to the goal: its length [...] [m] and a point near its start [..., 2] [m]."""
         ...
 
     def clearance(self, points: Any) -> Any:
@@ -112,12 +114,12 @@ class Context(Protocol):
     def free_along(self, headings: Any, max_m: float) -> Any:
         """Return the distance [..., R] [m] from the agent along headings [..., R] [rad] to the nearest obstacle.
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         ...
 
     def circles(self, *, legs: bool) -> Any:
-        """Return the other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, two per person."""
         ...
 
     def in_hand(self, points: Any) -> Any:
@@ -125,19 +127,19 @@ class Context(Protocol):
         ...
 
     def from_start(self, points: Any) -> Any:
-        """Return world points [..., n, 3] in the agent root frame of the start."""
+        """Return world points [..., n, 3] [m] in the agent root frame at the start of the episode."""
         ...
 
     def other_root(self) -> Any:
-        """Return the root of the other agent in the world [..., 3] [m]."""
+        """Return the position of the other agent's root in the world, [..., 3] [m]."""
         ...
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Any:
         """Return the lengths of shortest paths to objects or goals, [..., K] [m].
 
-        The paths begin at the agent, or with ``other`` at the other agent; with ``then``, where it was a second ago.
+        The paths start at the agent or, with ``other``, at the other agent.
 
-        With ``then``, the paths begin where the agent was a second ago.
+        With ``then``, the paths start where that agent was a second ago.
         """
         ...
 
@@ -149,12 +151,12 @@ class Context(Protocol):
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """Return a number for each of the agent's C choices: 1 for the last one, if it ended with this outcome, [..., C]."""
+        """Return a number per choice, [..., C]: 1 for the agent's last one if it had this outcome, else 0."""
         ...
 
 
 class SensorContext(NamedTuple):
-    """Input of sensors: one agent of each world, for worlds whose agents drive and walk, on the CPU and on devices.
+    """Input of sensors: one agent in each of W worlds whose agents drive and walk, on the CPU and on devices.
 
     On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`.
     """
@@ -171,19 +173,20 @@ class SensorContext(NamedTuple):
     agent: int
     now: AgentState
     before: AgentState
-    """State of the same agent one step ago."""
+    """State of the agent one step ago."""
     start: AgentState
     other: AgentState
-    """State of the other agent: for a robot the first person, for a person the first robot, else the next agent."""
+    """State of the other agent: the first person for a robot, the first robot for a person, else the next agent."""
     other_before: AgentState
     contact: NDArray[np.bool_]
     """True if the agent touched an obstacle in the last step, [W]."""
     touching: NDArray[np.bool_]
-    """True if the agent touches another one, [W]."""
+    """True if the agent touches another agent, [W]."""
     arm: Array
-    """Positions of the joints of the resting arm, [W, n]; for a person [W, 0]."""
+    """Positions of the joints of the resting arm, [W, n] [rad or m]; empty [W, 0] for a person."""
     path: Callable[[], tuple[Array, Array]]
-    """Shortest path to the other agent: its length [W] [m] and its first waypoint [W, 2] [m]."""
+    """Function that returns the shortest path to the other agent: its length [W] [m] and its first waypoint [W, 2]
+    [m]."""
     xp: Any = np
 
     @property
@@ -192,7 +195,7 @@ class SensorContext(NamedTuple):
         return self.world.state.held_by
 
     def floor_y(self) -> Array:
-        """Return heights of the floor where the agent is, [W] [m]."""
+        """Return the height of the floor at the agent, [W] [m]."""
         return self.world.heights(self.now.xz)
 
     def clearance(self, points: Array) -> Array:
@@ -202,48 +205,49 @@ class SensorContext(NamedTuple):
     def free_along(self, headings: Array, max_m: float) -> Array:
         """Return the distance [W, R] [m] from the agent along headings [W, R] [rad] to the nearest obstacle.
 
-        It is at most ``max_m``.
+        The distance is at most ``max_m`` [m].
         """
         return self.world.free_along(self.now.xz, headings, max_m)
 
     def circles(self, *, legs: bool) -> Array:
-        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, two per person."""
         return self.world.circles(self.agent, legs=legs)
 
     def from_start(self, points: Array) -> Array:
-        """Return world points [W, n, 3] in the agent root frame of the start."""
+        """Return world points [W, n, 3] [m] in the agent root frame at the start of the episode."""
         return self.world.in_root_frame(self.start, points)
 
     def other_root(self) -> Array:
-        """Return the root of the other agent in the world [W, 3] [m]."""
+        """Return the position of the other agent's root in the world, [W, 3] [m]."""
         xz = self.other.xz
         return self.xp.stack([xz[:, 0], self.world.heights(xz), xz[:, 1]], -1)
 
 
 class Sensor(NamedTuple):
-    """An observation that is not a picture."""
+    """Observation that is not a picture, as a row of the table of sensors."""
 
     of: Callable[[Any], Any]
     """Function that returns values [..., n] from a `Context`, or [W, n] from a `SensorContext` of worlds whose agents
     drive and walk."""
     low: ArrayLike
-    """Least values of one unit of the sensor; their number is the width of a unit."""
+    """Least value of each number in one unit of the sensor; their count is the width of a unit."""
     high: ArrayLike
-    """Largest value of each number of the sensor."""
+    """Largest value of each number in one unit of the sensor."""
     unit: tuple[str, ...] = ()
-    """Unit of each number of the sensor, empty for a number without a unit; an empty tuple if no number has a unit."""
+    """Unit of measurement of each number of the sensor, empty for a number without one; an empty tuple if no number has
+    one."""
     frame: str = ""
     """Axes of the numbers: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root frame of
     the start: x forward, y up, z right) or ``hand``."""
     times: Times = "once"
-    """Number of times that the unit is repeated: once, for each object, joint of the arm, choice, or door and drawer that
-    agents may choose to open."""
+    """Number of times that the sensor's numbers are repeated: once, or once for each object, joint of the arm, choice,
+    or door and drawer that agents may choose to open."""
     of_other: bool = False
-    """True if the sensor measures something about another agent, so that a single agent does not have it."""
+    """True if the sensor measures something about another agent, so that an agent alone does not have it."""
 
     @property
     def width(self) -> int:
-        """Number of values in one unit."""
+        """Number of values in one unit of the sensor."""
         return int(np.size(self.low))
 
     def limits(self, repeat: int = 1) -> Limits:
@@ -328,7 +332,7 @@ _OTHER_VELOCITY = Sensor(
 
 # --- the table ----------------------------------------------------------------------------------------------------------
 HUMANOID_GPS = "humanoid_gps"
-"""Name in the paper of distance and direction of the other agent."""
+"""Name of the sensor for distance and direction of the other agent, as in the paper."""
 TABLE: Mapping[str, Sensor] = {
     # of any agent
     HUMANOID_GPS: _OTHER_GPS,
@@ -418,9 +422,9 @@ TABLE: Mapping[str, Sensor] = {
     "target_sensor": Sensor(lambda m: m.in_hand(m.target[..., None, :])[..., 0, :], **_POINT, frame="hand"),
     "resting_sensor": Sensor(lambda m: m.in_hand(m.resting[..., None, :])[..., 0, :], **_POINT, frame="hand"),
 }
-"""Every sensor by name (h3data docs environments)."""
+"""All sensors by name (h3data docs environments)."""
 LIDARS = ("lidar", "lidar_legs")
-"""Names of laser scanners that see agents, as discs or by their legs."""
+"""Names of laser scanners that see agents, either as discs or by their legs."""
 
 
 OF_SKILLS = (
@@ -433,7 +437,7 @@ OF_SKILLS = (
     "is_holding",
     "arm_joints",
 )
-"""Observations that a learned skill may have besides a picture."""
+"""Observations that a learned skill may have in addition to a picture."""
 # the order of the table counts here: rows up to ``arm_joints`` are those of any agent
 SENSORS: Mapping[str, Sensor] = {name: TABLE[name] for name in list(TABLE)[: list(TABLE).index("arm_joints") + 1]}
 """Sensors of agents of any task whose agents drive and walk."""
@@ -458,9 +462,9 @@ SENSES: Mapping[str, Sensor] = {
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """Observations available to a robot that follows a person, in training and in play, on the CPU and on devices."""
 STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
-"""Default observations of agents that drive and walk, which need no picture."""
+"""Default observations of agents that drive and walk; none of them needs a picture."""
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)
-"""Observations of the paper's policy of social navigation (appendix). They need a picture in every step."""
+"""Observations of the paper's policy of social navigation (appendix), which need a picture in every step."""
 HABITAT_SENSES = (
     "arm_depth",
     "is_holding",
@@ -470,15 +474,15 @@ HABITAT_SENSES = (
     "obj_start_sensor",
     "obj_goal_sensor",
 )
-"""Observations of the upper layer in Habitat's configuration. They need a picture in every step."""
+"""Observations of the upper layer in Habitat's configuration, which need a picture in every step."""
 PAPER_SENSES = (
     *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
     HUMANOID_GPS,
     "arm_joints",
     "egomotion",
 )
-"""Observations of the robot in the paper (section 4.2): depth, arm joints, egomotion, distance and direction of the person, and
-those of the task in Habitat's configuration. They need a picture in every step."""
+"""Observations of the robot in the paper (section 4.2), which need a picture in every step: depth, arm joints,
+egomotion, distance and direction of the person, and the observations of the task in Habitat's configuration."""
 STATE_SENSES = (
     "obj_gps_compass",
     "obj_goal_gps_compass",
@@ -489,7 +493,7 @@ STATE_SENSES = (
     "last_done",
     "interrupted",
 )
-"""Sensors that suffice for a policy without memory to do the task of rearrangement."""
+"""Sensors that suffice for a policy without memory to solve the task of rearrangement."""
 
 
 def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:
@@ -512,5 +516,5 @@ def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any
 
 
 def sensors_of(kind: str) -> Mapping[str, Sensor]:
-    """Return the sensors of agents of a kind: people have no arm joints that could be read."""
+    """Return the sensors of a kind of agent, by name; people have no arm joints to read."""
     return SENSORS if kind == "robot" else {name: sensor for name, sensor in SENSORS.items() if name != "arm_joints"}

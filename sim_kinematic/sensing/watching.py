@@ -30,7 +30,7 @@ class DebugRenderer:
         self._side = -1
 
     def picture(self, drawn: StateRenderer, agent: int = 0) -> NDArray[np.uint8]:
-        """Return a picture uint8 [480, 640, 3] of the only world of ``drawn``, as last posed."""
+        """Return a picture uint8 [480, 640, 3] of the only world of ``drawn``, in the last pose."""
         target = drawn.middle(agent)[0]
         # small pictures are enough to tell from which side the agent is seen best
         trials = [_camera(target, side, (64, 48)) for side in range(SIDES)]

@@ -1,1 +1,1 @@
-"""Tasks: rules, episodes, rewards, recordings, and simulating them again."""
+"""Tasks: rules, episodes, rewards, recordings, and the simulation of recordings."""

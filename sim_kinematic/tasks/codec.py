@@ -1,7 +1,7 @@
-"""Codecs of episodes outside the simulator: records in files, entries in recordings, identity and instruction.
+"""Codecs of episodes outside the simulator: records in files, entries in recordings, identity, and instruction.
 
-A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
-`TaskCodec` is that of all tasks whose episodes are an `Episode` with nothing of their own.
+A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and
+read. `TaskCodec` is the codec of all tasks whose episodes add nothing to an `Episode`.
 """
 
 from __future__ import annotations
@@ -32,30 +32,31 @@ from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 from sim_kinematic.tasks.play import WorldRollout
 
 SNAP_M = 0.05
-"""Distance by which a stored point may be off the free floor [m]: files round to a centimetre, navigation meshes to a cell."""
+"""Distance by which a stored point may be off the free floor [m], as files round to a centimetre and navigation meshes
+to a cell."""
 
 POLICY_ENTRIES = ("policy", "partner", "partner_plan", "population")
-"""Entries of a recording's info that name policies. They change when a recording is continued by other policies."""
+"""Entries of a recording's info that name policies, which change when a recording is continued with other policies."""
 SceneAndMap = Callable[[float, float], tuple[Scene, FreeSpace]]
-"""Function that returns the scene of a recording, and its map for agents of a radius [m] and a height [m]."""
+"""Function that returns the scene of a recording, and its free floor for agents of a radius [m] and a height [m]."""
 
 R = TypeVar("R", bound=StoredEpisode)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodePlace:
-    """Place in which a stored episode is played, and the user's changes to the file."""
+    """Place in which a stored episode is played, with the user's changes to the file."""
 
     scene: Scene
     free: FreeSpace
     spec: Any
     """Rules of the episode."""
     agents: tuple[str, ...] | None = None
-    """Roster that replaces the default one."""
+    """Roster that replaces the default one; None: the default one."""
     robot: str | None = None
-    """Body that replaces the default one of robots that are named by their kind."""
+    """Body that replaces the default body of robots that are named by their kind."""
     human: str | None = None
-    """Body that replaces the default one of people who are named by their kind."""
+    """Body that replaces the default body of people who are named by their kind."""
     assets: tuple[str, ...] = ()
     """Asset folders for objects that the episode adds."""
 
@@ -66,24 +67,27 @@ class EpisodeCodec(Generic[R]):
     samples_starts: ClassVar[bool] = False
     """True if the codec reads files without starts, which are then sampled."""
     records_judgement: ClassVar[bool] = True
-    """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
-    ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
+    """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics
+    profile ``task``. The built-in tasks do not record them, as their metrics follow from other columns."""
 
     foreign: ClassVar[str] = ""
-    """Key in ``extra`` of other tools' episodes that the codec supports, such as PARTNR's; empty: there are none."""
+    """Key in ``extra`` of episodes of other tools that the codec supports, such as PARTNR's; empty: none."""
 
     def __init__(self, task: Any) -> None:
-        """Make the codec of a `sim_kinematic.tasks.task.Task`."""
+        """Create the codec of a `sim_kinematic.tasks.task.Task`."""
         self.task = task
 
     # --- episode files ------------------------------------------------------------------------------------------------
 
     def record(self, episode: Episode) -> R:
-        """Return the record of an episode, from which `episode` makes the same one, bit for bit."""
+        """Return the record of an episode, from which `episode` makes an identical one, bit for bit."""
         raise NotImplementedError
 
     def entry(self, record: R, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default") -> FileEntry:
-        """Return the entry of an episode file with a record, which is in its info unless the task has a form of its own."""
+        """Return the entry of an episode file with a record.
+
+        The record is in the info of the entry, unless the task has a form of its own.
+        """
         return FileEntry(
             episode_id=episode_id,
             scene_id=scene_id,
@@ -92,9 +96,9 @@ class EpisodeCodec(Generic[R]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> R | None:
-        """Return the record in an entry; None if the entry has none of this task.
+        """Return the record in an entry; None if the entry has no record of this task.
 
-        ``seed`` determines what the file leaves to chance.
+        ``seed`` determines everything that the file does not.
 
         Raises:
             FormatError: The record is damaged or from a newer version.
@@ -103,7 +107,7 @@ class EpisodeCodec(Generic[R]):
         raise NotImplementedError
 
     def is_complete(self, record: R) -> bool:
-        """Return whether the record leaves nothing to chance."""
+        """Return whether the record determines the episode without sampling."""
         del record
         return True
 
@@ -116,7 +120,7 @@ class EpisodeCodec(Generic[R]):
         raise NotImplementedError
 
     def stand_ins(self, record: R, source: SceneSource) -> tuple[str, ...]:
-        """Return a sentence on each thing of the record that is replaced because its files are missing."""
+        """Return a sentence for each thing of the record that is replaced because its files are missing."""
         del record, source
         return ()
 
@@ -131,16 +135,19 @@ class EpisodeCodec(Generic[R]):
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
-        """Return the instruction that one would give to a robot, as recorded in ``info["instruction"]``.
+        """Return the instruction that a person would give to a robot, as recorded in ``info["instruction"]``.
 
-        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default it is
-        the task's name in words.
+        LeRobot datasets have the instruction for every frame, and language-conditioned policies are trained with it. By
+        default it is the task's name in words.
         """
         del episode
         return str(self.task.name).replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return entries of a recording's info that are known at the start, enough for `restore` besides scene and bodies."""
+        """Return entries of a recording's info that are known at the start.
+
+        Together with the scene and the bodies, they are enough for `restore`.
+        """
         raise NotImplementedError
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
@@ -149,11 +156,11 @@ class EpisodeCodec(Generic[R]):
         return {"ended": play.ended}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Return the identity of an episode's recording, which is equal for equal inputs."""
+        """Return the identity of an episode's recording, which is the same for equal inputs."""
         raise NotImplementedError
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
-        """Return the episode that a recording was made of.
+        """Return the episode of a recording.
 
         Raises:
             InputError: The recording lacks something or its info is malformed; the message names it.
@@ -163,13 +170,14 @@ class EpisodeCodec(Generic[R]):
     def precompute(self, episode: Episode) -> dict[str, Any]:
         """Return entries of a recording's info that take long to compute and do not depend on how the episode is played.
 
-        `final_info` has them too. They are plain data, so that another process can compute them meanwhile.
+        `final_info` also returns these entries. They are plain data, so that another process can compute them at the
+        same time.
         """
         del episode
         return {}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Take over the facts that `precompute` has found earlier: in another process, or when the episode was recorded."""
+        """Take over entries that `precompute` returned earlier, in another process or when the episode was recorded."""
 
     def policy_names(self, recording: Recording) -> list[str]:
         """Return the name of each agent's policy, as recorded."""
@@ -186,14 +194,14 @@ class EpisodeCodec(Generic[R]):
 
 
 class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """An episode of a task without a record of its own."""
+    """Record of an episode of a task that has no record class of its own."""
 
     starts: tuple[Start, ...]
     """Start of each agent."""
     agents: tuple[str, ...]
-    """Roster of agents, such as ``robot:quad_arm``."""
+    """Roster of agents, with entries such as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Further data of the task, `Episode.extra`."""
+    """Further data of the task (`Episode.extra`)."""
     seed: int = 0
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
@@ -228,11 +236,11 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         return record
 
     def rules(self, record: TaskRecord) -> Any:
-        """Return rules in a record, as the task's class of rules."""
+        """Return the rules in a record, as the task's class of rules."""
         return read_rules(record.rules, self.task.Spec)
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
-        """Return the episode of a record in an opened scene, with the agents of the record or those that the caller names.
+        """Return the episode of a record in an opened scene, with the record's agents or those that the caller names.
 
         Raises:
             InputError: The number of starts and of agents differ, or a start is not on the free floor.
@@ -263,7 +271,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         )
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return the policies, rules, starts and `Episode.extra`."""
+        """Return the policies, rules, starts and `Episode.extra` for a recording's info."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],
@@ -323,10 +331,10 @@ def uid_of(what: str) -> str:
 
 
 def require_info(recording: Recording, *names: str) -> None:
-    """Check that a recording's info has some entries.
+    """Check that a recording's info has some required entries.
 
     Raises:
-        InputError: The info lacks some; the message names them.
+        InputError: The info lacks some of the entries; the message names them.
     """
     lacks = [name for name in names if name not in recording.episode.info]
     if lacks:
@@ -334,7 +342,7 @@ def require_info(recording: Recording, *names: str) -> None:
 
 
 def malformed_info(fault: Exception) -> InputError:
-    """Return the error for a recording's info that does not convert."""
+    """Return the error for a recording's info that cannot be converted."""
     return InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030")
 
 
@@ -368,7 +376,7 @@ def require_on_floor(starts: Array, free: FreeSpace, count: int) -> None:
 
 
 def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> Any:
-    """Return rules from a file; what they do not name is as in the paper.
+    """Return rules from a file, where rules that the file does not name are those of the paper.
 
     Raises:
         InputError: The rules are not rules of this kind.

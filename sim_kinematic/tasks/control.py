@@ -1,8 +1,10 @@
-"""Base classes of the agents of a rollout, and of what a task says about them.
+"""Base classes of the teams of agents in a rollout, and of the controls by which tasks define them.
 
-A task names one `Control` (`sim_kinematic.tasks.task.Task.control`): the form of a choice, what carries it out, and how it is
-recorded and repeated. It makes the `Team` of each rollout. With `sim_kinematic.tasks.motion.VelocityControl`, agents drive and
-walk. With `sim_kinematic.tasks.skills.control.SkillControl` they have skills: they take things, put them down, open and close.
+A task names one `Control` (`sim_kinematic.tasks.task.Task.control`), which defines the form of a choice, how it is
+carried out, and how it is recorded and repeated. The control makes the `Team` of each rollout. With
+`sim_kinematic.tasks.motion.VelocityControl`, agents drive and walk. With
+`sim_kinematic.tasks.skills.control.SkillControl`, they have skills: they take objects, put them down, and open and
+close doors and drawers.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 class Team(ABC):
-    """Base class of the agents of a rollout; ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
+    """Base class of the agents of a rollout, where ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
 
     def __init__(self, play: Any) -> None:
         # no circle of references: policies with open connections are freed with the last use of their rollout
@@ -45,15 +47,15 @@ class Team(ABC):
 
     @abstractmethod
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Begin episodes in the worlds ``rows`` [n]."""
+        """Start episodes in the worlds ``rows`` [n]."""
 
     def begin_step(self) -> None:
-        """Begin a step of the only world."""
+        """Start a step of the only world."""
         for controller in self.controllers:
             controller.begin(self.play.step)
 
     def begin_turn(self, number: int) -> None:  # noqa: B027
-        """Prepare an agent before it is asked or moved."""
+        """Prepare an agent before it is asked for a choice or moved."""
 
     def end_turn(self, number: int) -> None:  # noqa: B027
         """Update the team after an agent has made its step."""
@@ -63,7 +65,7 @@ class Team(ABC):
         """Complete a step by one command for each agent, None for agents that their controllers have moved."""
 
     def finish(self) -> None:  # noqa: B027
-        """Close what is still going on, such as running skills."""
+        """Close activities that are still running, such as skills."""
 
     @abstractmethod
     def view(self, agent: int, world: int) -> Any:
@@ -73,34 +75,34 @@ class Team(ABC):
     def exact(
         self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
     ) -> dict[str, Array]:
-        """Return the named observations as they are, [W, n] each; rows of the teams ``beside`` follow this team's."""
+        """Return exact values of the named observations, [W, n] each, followed by the rows of the teams ``beside``."""
 
     @abstractmethod
     def scenery(self, world: int) -> dict[str, Any]:
         """Return the arguments of `sim_kinematic.sensing.eyes.see` that describe the present state of a world."""
 
     def new_events(self) -> Sequence[Event]:
-        """Return events of agents of the first world in the last step, beyond those that the task judges."""
+        """Return the events of agents in the first world in the last step, except those that the task reports."""
         return ()
 
     @abstractmethod
     def snapshot(self) -> Any:
-        """Return the step just played in the first world, as `columns` takes it."""
+        """Return the last step of the first world in the form that `columns` takes."""
 
     @abstractmethod
     def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Return columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
+        """Return columns of consecutive steps, agents' places [T, 2], and whether a robot touched an obstacle [T]."""
 
 
 class Control:
-    """Base class of controls. ``play`` is a `sim_kinematic.tasks.play.WorldRollout`, and ``number`` an agent's index."""
+    """Base class of controls, where ``play`` is a `sim_kinematic.tasks.play.WorldRollout` and ``number`` an agent."""
 
     has_skills: ClassVar[bool] = False
     """True if choices are skills that take many steps: then each rollout has one world, people are recorded joint by joint
     instead of as motion clips, and `sim_kinematic.policies.assignment.COMMON` makes no such choices."""
 
     observations: ClassVar[tuple[str, ...]] = STATE_OBSERVATIONS
-    """Names of the sensors that an environment shows by default."""
+    """Names of the sensors that are an environment's observations by default."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
         """Create the control.
@@ -114,23 +116,23 @@ class Control:
         """Raise an `InputError` if the control does not support an agent; by default it supports all."""
 
     def team(self, play: Any) -> Team:
-        """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
+        """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to start."""
         raise NotImplementedError
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a command from outside in the form that the play takes.
+        """Return a command from outside in the form that the play takes, after checking it.
 
         Raises:
-            InputError: it is malformed.
+            InputError: the command is malformed.
         """
         raise NotImplementedError
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a policy's choice in the form that the play takes; by default as `checked`.
+        """Return a policy's choice in the form that the play takes; by default as `checked` returns it.
 
         Raises:
-            InputError: it is malformed.
+            InputError: the choice is malformed.
         """
         return self.checked(play, number, choice)
 
@@ -144,12 +146,12 @@ class Control:
         return False
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Return whether a command from outside interrupts what the agent is doing; by default all do."""
+        """Return whether a command from outside interrupts the agent's present activity; by default it always does."""
         del play, number, choice
         return True
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Return in a sentence why a command, as `checked` returned it, would be refused now; None: it would not."""
+        """Return, as a sentence, why a command from `checked` would be refused now; None if it would not."""
         del play, number, choice
         return None
 
@@ -159,11 +161,11 @@ class Control:
         raise NotImplementedError
 
     def from_json(self, data: Any) -> Any:
-        """Return the choice that `to_json` wrote."""
+        """Return the choice that `to_json` converted."""
         raise NotImplementedError
 
     def recorded_agent(self, member: AgentSpec, episode: Episode, *, is_external: bool) -> Agent:
-        """Return how a recording names an agent, with the skills that it has in this episode."""
+        """Return the entry of an agent in a recording, with the skills that it has in this episode."""
         del episode, is_external
         body, skills = member.body, self.skills.get(member.kind, ())
         if isinstance(body, Robot):
@@ -188,13 +190,13 @@ class Control:
         )
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Return columns without which a recording cannot be simulated again."""
+        """Return the columns that a recording needs to be simulated again."""
         raise NotImplementedError
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the numbers of the agents whose decisions are all recorded, so that verification calls none of their policies.
+        """Return the numbers of the agents whose decisions are all recorded, so that their policies are not needed.
 
-        ``names`` are those of all agents' policies.
+        ``names`` are the names of all agents' policies.
         """
         raise NotImplementedError
 
@@ -211,16 +213,17 @@ class Control:
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        """Return for each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
+        """Return, for each agent, a policy that repeats its recorded decisions, then hands over to ``own``.
 
-        ``changed`` is True for each agent whose own policy is another than the recorded one.
+        The policies repeat the first ``until`` steps. ``changed`` is True for each agent whose own policy is not the
+        recorded one.
         """
         raise NotImplementedError
 
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Put people on their recorded tracks. Return facts about them for the info, and a function to call after each step.
+        """Put people on their recorded tracks; return facts for the info, and a function to call after each step.
 
         ``since`` is the step from which robots follow other policies.
         """

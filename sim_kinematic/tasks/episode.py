@@ -1,4 +1,4 @@
-"""Records of a task: its rules, an episode and its starts, the outcome of a step."""
+"""Records of a task: its rules, an episode and its starts, and the outcome of a step."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, SocialNavSpec, WalkerSpec
 
 MAX_STEPS = 1_000_000
-"""Largest number of steps of an episode that is simulated again, nine hours."""
+"""Largest number of steps of an episode that can be simulated again, which is nine hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec:
-    """Rules that every task has; a task's own spec adds to them."""
+    """Rules that every task has, to which a task's own spec adds others."""
 
     max_steps: int = 1500
     spawn_distance_m: float = 5.0
     """Least distance between any two agents at the start, where there is room [m]."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
-    """Height of the agent for which the free floor is computed, that of Habitat's navigation mesh for Spot [m]."""
+    """Height of the agent for which the free floor is computed, equal to that of Habitat's navigation mesh for Spot
+    [m]."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
@@ -44,7 +45,7 @@ class TaskSpec:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
-    """Part of an episode that does not change while it is played: home, map, rules, agents, starts and seed."""
+    """Constant part of an episode: home, map, rules, agents, starts and seed."""
 
     scene: Scene
     free: FreeSpace
@@ -52,11 +53,11 @@ class Episode:
     spec: Any
     """Rules of the task, a frozen dataclass."""
     roster: tuple[AgentSpec, ...]
-    """Agents: robots, then people."""
+    """Agents of the episode, robots first, then people."""
     starts: Array
     """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
-    """Further data that the task sampled, as JSON types; recorded in ``info["extra"]``."""
+    """Further data that the task sampled, as JSON types, which are recorded in ``info["extra"]``."""
 
     def __post_init__(self) -> None:
         # agents must reach each other, whoever made the episode: paths are found on the floor that all can use
@@ -68,24 +69,24 @@ class Episode:
 
     @cached_property
     def bases(self) -> tuple[BaseSpec, ...]:
-        """Discs and limits of each agent: a robot's own; for a person, whom no base limits, those of the rules."""
+        """Discs and limits of each agent: a robot's own, or those of the rules for people."""
         return tuple(base_of(member.body, self.spec.robot) for member in self.roster)
 
     def floor(self, agent: int) -> FreeSpace:
-        """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+        """Return the floor on which an agent finds its paths, without places too narrow for it."""
         body = self.roster[agent].body
         return floor_of(body, self.bases[agent], self.scene, self.free) if isinstance(body, Robot) else self.free
 
     @property
     def moving(self) -> dict[str, Array]:
-        """Instances of the scene that agents may move, with their poses [7] at the start, in the order of the recording."""
+        """Instances of the scene that agents may move, with their initial poses (pose7) [7], in recorded order."""
         return {}
 
 
 def sample_starts(
     scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
 ) -> Array:
-    """Return random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room.
+    """Return random free starts [A, 3], at least ``spec.spawn_distance_m`` apart if there is room.
 
     ``stream`` names the stream of random numbers; another name gives other starts.
     """
@@ -95,7 +96,7 @@ def sample_starts(
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Start poses of robot and person."""
+    """Start poses of a robot and a person."""
 
     robot_xz: NDArray[np.float64]
     robot_heading: float
@@ -119,8 +120,8 @@ def sample_pair_starts(
 ) -> Starts:
     """Sample starts at least ``spec.spawn_distance_m`` apart on one island of the free floor.
 
-    ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
-    the rules is kept free of obstacles.
+    ``fits`` tests whether the robot fits at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without
+    it, only the base of the rules is kept free of obstacles.
 
     Raises:
         SceneError: The scene has no two such places.
@@ -163,23 +164,23 @@ class StepOutcome:
 
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
-    """True if the rules end the episode."""
+    """True if the rules end the episode, [W]."""
     success: NDArray[np.bool_]
-    """True if the task is done; once true in an episode it should stay true."""
+    """True if the task is done, [W]; once true in an episode, it should stay true."""
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Values to record, by column name (`Task.columns`), [W, ...] each."""
     ended: str = ""
-    """Word in ``info["ended"]`` for an episode that the rules end; if empty, ``success`` or ``terminated``."""
+    """Word in ``info["ended"]`` for an episode that the rules end; if empty, it is ``success`` or ``terminated``."""
     events: Sequence[tuple[int, Event]] = ()
-    """Events of this step with the world that each belongs to."""
+    """Events of this step, each with the number of the world that it belongs to."""
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """Return rules of an episode as a dictionary, as recordings and episode files hold them.
+    """Return the rules of an episode as a dictionary, in the form of recordings and episode files.
 
     A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
-    the spot (no ``stride``), nobody is solid, no floor moves, people collide with their whole bodies, and no skill is
-    learned or an oracle's. Old and new recordings of the same episode thus have equal dictionaries.
+    the spot (no ``stride``), no agent is solid, no floor moves, people collide with their whole bodies, and no skill is
+    a learned or an oracle skill. Old and new recordings of the same episode thus have equal dictionaries.
     """
     rules = asdict(spec)
     if rules.get("person_contact") == "body":
@@ -196,10 +197,10 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 
 
 def with_options(spec: Any, **options: Any) -> Any:
-    """Return rules with some options replaced; options that are None leave them as they are.
+    """Return rules with some options replaced, where None leaves an option unchanged.
 
-    Beside the fields of ``spec`` there are ``rules``, the name of a set of rules (``paper`` or ``natural``) that the other
-    options change, and ``human_speed``, the walking speed of people [m/s].
+    In addition to the fields of ``spec``, there are the options ``rules``, the name of a set of rules (``paper`` or
+    ``natural``) to which the other options are applied, and ``human_speed``, the walking speed of people [m/s].
     """
     speed, rules = options.pop("human_speed", None), options.pop("rules", None)
     if rules is not None:

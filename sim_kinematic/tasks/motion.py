@@ -1,4 +1,4 @@
-"""Agents who drive and walk: the form of their choices, the commands that carry these out, and what is recorded of them."""
+"""Agents that drive and walk: the form of their choices, the commands that carry them out, and their recording."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ class VelocityControl(Control):
         return MotionTeam(play)
 
     def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity from a pair, or from anything with ``forward`` and ``turn``.
+        """Return a velocity from a pair, or from any object with ``forward`` and ``turn``.
 
         Raises:
-            InputError: it is malformed.
+            InputError: the choice is malformed.
         """
         del play, number
         try:
@@ -66,10 +66,10 @@ class VelocityControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity as `checked`, or a waypoint, a place, a gait or a recorded pose.
+        """Return a policy's choice: a velocity (as from `checked`), a waypoint, a place, a gait or a recorded pose.
 
         Raises:
-            InputError: it is malformed.
+            InputError: the choice is malformed.
         """
         if isinstance(choice, GaitAction):
             return choice
@@ -81,7 +81,7 @@ class VelocityControl(Control):
         return choice
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
-        """Return the choice that keeps the agent as it is."""
+        """Return the choice that an agent continues with if it gets no new command."""
         del play, number
         return Velocity(0.0, 0.0) if last is None else last
 
@@ -94,13 +94,13 @@ class VelocityControl(Control):
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Return the columns of the velocities of robots, and of the skills that they report."""
+        """Return the velocity that `to_json` converted."""
         robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
         names = ("action", "skill") if self.skills.get("robot") else ("action",)
         return [f"agent_{k}.{name}" for k in robots for name in names]
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the robots, and the people who were controlled from outside."""
+        """Return the numbers of the robots, and of the people who were controlled from outside."""
         commanded = recorded_commands(recording, self.from_json)
         decided = {
             k
@@ -127,7 +127,7 @@ class VelocityControl(Control):
     ) -> list[AssignedPolicy]:
         """Return policies that repeat the recorded velocities.
 
-        A scripted person has no recorded decisions: its own policy decides again.
+        A scripted person has no recorded decisions, so their own policy decides again.
         """
         commands, policies = recorded_commands(recording, self.from_json), []
         for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
@@ -157,17 +157,17 @@ class VelocityControl(Control):
 
 
 class MotionController:
-    """Controller of one agent of the only world, which chooses in every step."""
+    """Controller of one agent of the only world, which makes a choice in every step."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self.status: Literal["choosing", "acting"] = "choosing"
         self.word = ""
-        """Word by which the agent reports what it is doing."""
+        """Word by which the agent reports its present activity."""
         self._choice: Any = None
 
     def begin(self, step: int) -> None:
-        """Begin a step, in which the agent has to choose."""
+        """Start a step, in which the agent has to choose."""
         del step
         self.status = "choosing"
 
@@ -179,18 +179,18 @@ class MotionController:
         """Return the command that carries the choice out.
 
         Raises:
-            InputError: The choice is of no known kind.
+            InputError: The choice has an unknown type.
         """
         return command_of([self._choice], self._name)
 
 
 def command_of(choices: Sequence[Any], name: str) -> Command:
-    """Return the command for an agent of W worlds from its choices, all of one kind.
+    """Return the command for an agent of W worlds, given its choices, which are all of one kind.
 
-    Velocities are rounded to float32, as they are recorded. ``name`` is the agent's, for the error.
+    Velocities are rounded to float32, as they are recorded. ``name`` is the name of the agent for error messages.
 
     Raises:
-        InputError: A choice is of no known kind.
+        InputError: A choice has an unknown type.
     """
     first = choices[0]
     if isinstance(first, WaypointAction):
@@ -227,7 +227,7 @@ def _rows(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 class MotionTeam(Team):
-    """Agents of W worlds who drive and walk."""
+    """Agents of W worlds that drive and walk."""
 
     def __init__(self, play: Any) -> None:
         super().__init__(play)
@@ -235,7 +235,7 @@ class MotionTeam(Team):
         self._commands: Sequence[Command | None] = ()
         arms = [resting_arm(member.body) for member in play.world.roster]
         self._arms = [np.tile(arm, (play.world.worlds, 1)) for arm in arms]
-        """Resting positions of the arm joints of each agent, [W, n]."""
+        """Resting positions of the arm joints of each agent, [W, n] [rad or m]."""
         self._traffic: dict[int, Traffic] = {}
         """Traffic of the worlds for which it was requested."""
         self._crowds: dict[int, Crowds] = {}
@@ -244,7 +244,7 @@ class MotionTeam(Team):
         """Places of all agents in this step, once they were requested."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Forget traffic and crowds of these worlds, as their agents begin at other places."""
+        """Remove the traffic and crowds of these worlds, because their agents start at other places."""
         for w in rows.tolist():
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
@@ -303,7 +303,7 @@ class MotionTeam(Team):
         return self._moment
 
     def new_events(self) -> Sequence[Event]:
-        """Return the reactions to robots and activities that people of crowds have begun."""
+        """Return the events of people of crowds who started a reaction to a robot or an activity."""
         return self._crowds[0].new_events if 0 in self._crowds else ()
 
     def exact(
@@ -349,7 +349,7 @@ class MotionTeam(Team):
         return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
 
     def scenery(self, world: int) -> dict[str, Any]:
-        """Return the scene as it was sampled, and people in their motion clips."""
+        """Return the scene as it was sampled, with people posed by their motion clips."""
         play = self.play
         return {
             "state": play.world.state.take(np.array([world])),
@@ -359,7 +359,7 @@ class MotionTeam(Team):
         }
 
     def snapshot(self) -> list[Sequence[float]]:
-        """Return plain numbers: place, motion, command and word of each agent, hands of some people, joints and things."""
+        """Return the agents' places, motions, commands and words, hands, joints and things as plain numbers."""
         parts: list[Sequence[float]] = []
         world, skills = self.play.world, self.play.task.control.skills
         # all people at once, and Python floats, which take half the time of NumPy's
@@ -437,5 +437,5 @@ class MotionTeam(Team):
 
 
 def resting_arm(body: Humanoid | Robot) -> Array:
-    """Return the resting positions of a robot's arm joints, [n]; [0] for a person or a robot without a hand."""
+    """Return the resting positions of a robot's arm joints, [n] [rad or m]; empty [0] for other bodies."""
     return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class WorldRollout:
-    """Rollout of W worlds of a task, each in its own episode. `sim_kinematic.tasks.runner.DecisionLoop` plays a single one."""
+    """Rollout of W worlds of a task, each with its own episode."""
 
     xp: ClassVar[Any] = np
     """Array namespace with which `Task.begin`, `Task.judge` and sensors also run on a torch device."""
@@ -51,14 +51,14 @@ class WorldRollout:
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
-        """Create worlds without episodes; `begin` puts episodes into them.
+        """Create worlds without episodes, which `begin` then sets.
 
         Args:
-            task: rules by which each step is judged.
+            task: task, which judges each step.
             spec: numbers of the rules, such as ``max_steps``.
             roster: agents of every world.
             worlds: number of worlds W.
-            measure: whether rewards and collisions are computed.
+            measure: True if rewards and collisions are computed.
             options: options of the task, for environments.
             objects: number of things that agents can take.
             scene_joints: number of doors and drawers that agents can move.
@@ -71,7 +71,7 @@ class WorldRollout:
                 f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
             )
         self.task: Any = task
-        """The `sim_kinematic.tasks.task.Task`."""
+        """Task of the rollout, a `sim_kinematic.tasks.task.Task`."""
         self.spec, self.measure, self.options = spec, measure, dict(options or {})
         self.world = World(
             roster,
@@ -89,15 +89,15 @@ class WorldRollout:
         self.episodes: list[Episode] = []
         """Episode of each world; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)
-        """Steps of the episode so far, [W]."""
+        """Number of steps of each world's episode so far, [W]."""
         self.memory: Any = None
-        """The task's own state."""
+        """State that the task stores between steps."""
         self.outcome = StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
         self.policies: list[AssignedPolicy] = []
         self.things: list[Body] = []
-        """Things that people bring along, in the order of the agents, each with its owner's name before its own."""
+        """Things that people bring along, in the order of the agents, each named after its owner."""
         self.ended = "max_steps"
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
@@ -117,9 +117,9 @@ class WorldRollout:
     def of(
         cls, task: Any, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
     ) -> WorldRollout:
-        """Return one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+        """Return a rollout of one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
 
-        ``measure=False`` leaves out what only rewards need.
+        ``measure=False`` leaves out quantities that only rewards need.
 
         Raises:
             InputError: the number of policies is not the number of agents.
@@ -150,7 +150,7 @@ class WorldRollout:
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
-        """Begin episodes in the worlds ``rows`` [n] (default: all)."""
+        """Start episodes in the worlds ``rows`` [n] (default: all)."""
         rows = np.arange(self.world.worlds) if rows is None else rows
         agents = len(self.world.roster)
         if other := next((len(e.roster) for e in episodes if len(e.roster) != agents), 0):
@@ -180,7 +180,7 @@ class WorldRollout:
                 self.memory[name] = kept
 
     def advance(self, commands: Sequence[Command | None]) -> StepOutcome:
-        """Move all worlds one step and judge it.
+        """Move all worlds by one step and judge it.
 
         Raises:
             InputError: No episode has begun, or the commands do not fit; then nothing has moved.
@@ -232,12 +232,12 @@ class WorldRollout:
 
     @property
     def at_goal(self) -> NDArray[np.bool_]:
-        """Return which things are at their goals and in nobody's hand, [W, K]; only for agents with skills."""
+        """Return which objects are at their goals and not held, [W, K]; only for agents with skills."""
         return self.team.at_goal[None]
 
     @property
     def open_parts(self) -> NDArray[np.bool_]:
-        """Return which of the doors and drawers of `Rearrange.parts_of` are at least ajar, [W, M]; only with skills."""
+        """Return which doors and drawers of `Rearrange.parts_of` are at least ajar, [W, M]; only with skills."""
         return self.team.open_joints[list(self.team.parts)][None]
 
     def extra(self, name: str) -> NDArray[Any]:
@@ -245,7 +245,7 @@ class WorldRollout:
         return np.array([episode.extra[name] for episode in self.episodes])
 
     def path_length(self, agent: int, points: Array) -> Array:
-        """Return the lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return the lengths [W] [m] of the shortest paths from an agent to points [W, 2]; infinite without one."""
         xz, lengths = self.world.state.agents[agent].xz, np.zeros(self.world.worlds)
         for free, rows in self.world.groups:
             lengths[rows] = free.geodesic(xz[rows], points[rows])
@@ -254,27 +254,27 @@ class WorldRollout:
     def events_where(
         self, flags: NDArray[np.bool_], kind: str, *, agent: int = -1, target: str = ""
     ) -> list[tuple[int, Event]]:
-        """Return an event of this step for each world where a flag [W] is set, as `StepOutcome.events` takes them."""
+        """Return an event of this step for each world whose flag [W] is set, in the form of `StepOutcome.events`."""
         # the step is counted already, and events number steps from 0
         worlds = np.flatnonzero(flags).tolist()
         return [(w, Event(step=int(self.steps[w]) - 1, agent=agent, kind=kind, target=target)) for w in worlds]
 
     @property
     def out_of_time(self) -> NDArray[np.bool_]:
-        """Return which worlds' episodes have reached the time limit, [W]."""
+        """Return whether the episode of each world has reached the time limit, [W]."""
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> Any:
-        """Return the observation of an agent in one world: an `AgentView`, or a `RearrangeView` where agents have skills."""
+        """Return an agent's observation in one world: an `AgentView`, or a `RearrangeView` if agents have skills."""
         return self.team.view(agent, world)
 
     def observe(
         self, agent: int, world: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
     ) -> dict[str, NDArray[Any]]:
-        """Return named observations of an agent in one world now, exact, as environments show them.
+        """Return the present values of named observations of an agent in one world, without noise.
 
         Raises:
-            InputError: it has no observation of such a name.
+            InputError: the agent has no observation of such a name.
         """
         # at least one object, as limits of sensors of objects need a number
         if agent not in self._sensors:
@@ -302,7 +302,7 @@ class WorldRollout:
         size: PictureSize,
         light: LightMode = "flat",
     ) -> dict[str, NDArray[Any]]:
-        """Return named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
+        """Return the present pictures of an agent by name, like `sim_kinematic.sensing.eyes.see`."""
         from sim_kinematic.sensing.eyes import see
 
         bodies, lit_as = [member.body for member in self.world.roster], self.episodes[world].scene
@@ -318,7 +318,7 @@ class WorldRollout:
 
     @property
     def step(self) -> int:
-        """Number of steps made in the first world."""
+        """Number of steps made so far in the first world."""
         return self.steps.item(0)
 
     @property
@@ -336,7 +336,7 @@ class WorldRollout:
         return self.task.view(self, agent, 0)
 
     def decide(self, agent: int) -> Any:
-        """Return the choice of an agent's policy in the first world, in the form that `Control` takes.
+        """Return the choice of an agent's policy in the first world, in the form that the `Control` takes.
 
         Raises:
             InputError: the policy returned something else; the message names it.
@@ -353,13 +353,13 @@ class WorldRollout:
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def snapshot(self) -> tuple[Any, dict[str, Any], NDArray[np.bool_]]:
-        """Return the state of the first world after a step; `columns` makes blocks of them."""
+        """Return the state of the first world after a step, from which `columns` makes blocks."""
         judged = {name: values[0] for name, values in self.outcome.columns.items()}
         judged |= {name: getattr(self.outcome, name.partition(".")[2])[0] for name in self._judgement}
         return self.team.snapshot(), judged, self.world.touching[0]
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
-        """Return columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
+        """Return the columns of a recording from snapshots of consecutive steps, of which ``first`` is the first."""
         # a row is the state after its step, so the first one is not at time 0
         result: Columns = {"time_ns": np.arange(first + 1, first + len(snapshots) + 1, dtype=np.int64) * STEP_NS}
         own, places, contact = self.team.columns([row[0] for row in snapshots])
@@ -382,11 +382,11 @@ class WorldRollout:
 
 
 def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Columns:
-    """Return the columns that say who touches whom.
+    """Return the columns that record which agents touch each other.
 
-    ``metrics.collision`` [T] says whether any two agents touch. Where this leaves open whom the first robot touches, because
-    there are more than two agents, ``metrics.collision_people`` [T, P] says it of each person, and
-    ``metrics.collision_robots`` [T, R - 1] of each further robot.
+    ``metrics.collision`` [T] is true where any two agents touch. With more than two agents,
+    ``metrics.collision_people`` [T, P] is true for each person that the first robot touches, and
+    ``metrics.collision_robots`` [T, R - 1] for each further robot that it touches.
 
     Args:
         kinds: Kind of each agent.
@@ -414,14 +414,14 @@ class AgentSensors(NamedTuple):
 
     @classmethod
     def of(cls, task: Any, member: AgentSpec, objects: int, parts: int = 0) -> AgentSensors:
-        """Return the sensors and pictures of an agent in an episode with these numbers of objects and of parts that open."""
+        """Return the sensors and pictures of an agent, given the numbers of objects and of parts that open."""
         sensors = task.sensors(member.kind)
         spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)), parts=parts)
         exact = {name: (np.asarray(s.low, np.float64), np.asarray(s.high, np.float64)) for name, s in spaces.items()}
         return cls(member.name, {name: sensors[name] for name in exact}, exact, frozenset(picture_names(member.body)))
 
     def check(self, names: Sequence[str]) -> None:
-        """Raise an `InputError` if there is no such observation; it lists the existing ones."""
+        """Raise an `InputError` that lists the existing observations if one of ``names`` does not exist."""
         for name in names:
             if name not in self.sensors and name not in self.pictures:
                 there = [*sorted(self.sensors), *sorted(self.pictures)]

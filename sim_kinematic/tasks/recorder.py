@@ -40,8 +40,8 @@ from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
 BLOCK, SHORT_M = 30, 16.0
-"""Number of rows that the sink gets at once: one second, which is what a crash may lose. Largest length of sensors that are
-recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
+"""Number of rows that are passed to the sink at once (one second, which a crash may lose); and largest measured length
+for recording a sensor in 16 bits, which resolve 4 mm at 8 m [m]."""
 
 
 class Sink(Protocol):
@@ -51,7 +51,7 @@ class Sink(Protocol):
         """Append steps: every column, with the same number of rows."""
 
     def event(self, event: Event) -> None:
-        """Append an event."""
+        """Append an event to the recording."""
 
     def skill(self, span: SkillSpan) -> int:
         """Append a skill, running or ended, and return its number."""
@@ -62,21 +62,21 @@ class Sink(Protocol):
         ...
 
     def close(self, *, info: dict[str, Any]) -> object:
-        """Complete the recording with the entries of info that are known only at the end."""
+        """Complete the recording with entries of its info that are known only at the end."""
         ...
 
     def abort(self) -> None:
-        """End the recording early; the rows so far stay readable."""
+        """End the recording early; the rows written so far stay readable."""
 
 
 class RecordedSensors:
     """Sensors of an episode's robots that are recorded with every step."""
 
     def __init__(self, task: Task, roster: Sequence[AgentSpec], names: Sequence[str]) -> None:
-        """Check the names of the sensors.
+        """Check and select the sensors by name.
 
         Raises:
-            InputError: there is no robot, or it has no sensor of such a name.
+            InputError: there is no robot, or it has no sensor with one of the names.
         """
         self._names, self._robots = tuple(names), [k for k, member in enumerate(roster) if member.kind == "robot"]
         if isinstance(names, str) or not self._robots or task.control.has_skills:
@@ -124,7 +124,10 @@ class RecordedSensors:
 
     @classmethod
     def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
-        """Return the sensors that a recording holds, or None if there are none. Errors are those of the constructor."""
+        """Return the sensors that a recording contains, or None if it has none.
+
+        Errors are those of the constructor.
+        """
         told = recording.episode.info.get("sensors")
         # info comes from a file and may hold anything
         found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
@@ -132,7 +135,7 @@ class RecordedSensors:
         return cls(task, roster, tuple(names)) if names else None
 
     def read(self, play: Any) -> dict[str, Any]:
-        """Return the values of the step that has just been played, by column."""
+        """Return the sensors' values in the last step, by column."""
         values = {}
         for k in self._robots:
             for name, shown in play.observe(k, 0, self._names).items():
@@ -148,7 +151,7 @@ def _one(values: Sequence[Any]) -> Any:
 
 @dataclass
 class Recorder:
-    """Recorder of an episode, which grows with every step."""
+    """Recorder of an episode, to which each step is added."""
 
     header: RecordingHeader
     play: WorldRollout
@@ -158,12 +161,13 @@ class Recorder:
     skills: list[SkillSpan] = field(default_factory=list)
     inputs: list[InputEvent] = field(default_factory=list)
     beside: dict[str, np.generic] = field(default_factory=dict)
-    """Values of further columns, which are written with every row. All of them have to be set before the first row, and keep
-    their dtypes. A recording that is simulated again does not have them, so they must not be state."""
+    """Values of further columns that are written with every row. All of them have to be set before the first row, and
+    their dtypes must not change. They must not be part of the state, because a recording that is simulated again does
+    not have them."""
     sensors: RecordedSensors | None = None
     """Sensors that are recorded with every step; their columns are measurements, not state."""
     latest: Any = None
-    """Snapshot of the step that has just been played; None before the first."""
+    """Snapshot of the last step; None before the first step."""
     _rows: list[Any] = field(default_factory=list)
     _beside: list[tuple[np.generic, ...]] = field(default_factory=list)
     _count: int = 0
@@ -178,11 +182,11 @@ class Recorder:
         info: Mapping[str, Any] | None = None,
         sensors: Sequence[str] = (),
     ) -> Recorder:
-        """Return the recorder of an episode that is about to begin.
+        """Return the recorder of an episode that is about to start.
 
         Args:
             play: Episode with its policies, before the first step.
-            sink: Called once with the header; returns what receives rows and events while they come.
+            sink: Function that is called once with the header and returns the receiver of rows and events.
             episode_id: Name of the episode within its dataset.
             info: Entries of the recording's info that the caller knows from the start.
             sensors: Names of sensors of robots that are recorded with every step.
@@ -200,7 +204,7 @@ class Recorder:
         return self._count + len(self._rows)
 
     def add(self) -> None:
-        """Take down the step that has just been played."""
+        """Record the last step."""
         if self.sensors is not None:
             self.beside |= self.sensors.read(self.play)
         self.latest = self.play.snapshot()
@@ -211,7 +215,7 @@ class Recorder:
         self._take()
 
     def input(self, event: InputEvent) -> None:
-        """Take down raw input."""
+        """Record raw input of an agent that is controlled from outside."""
         self.inputs.append(event)
         if self.sink is not None:
             self.sink.input(event)
@@ -224,15 +228,15 @@ class Recorder:
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
 
     def latest_columns(self) -> Columns:
-        """Return the columns of the step that has just been played, one row each, without the hash of the state."""
+        """Return the columns of the last step, one row each, without the hash of the state."""
         return self.play.columns([self.latest], len(self) - 1)
 
     def flush(self) -> None:
-        """Pass all rows to the sink now, so that a crash from here on loses none of them."""
+        """Pass all rows to the sink now, so that a crash loses none of them."""
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
-        """Close the sink and return the whole recording, with what is known only at the end."""
+        """Close the sink and return the whole recording, completed with entries that are known only at the end."""
         # first, as it ends running skills, whose spans are taken down below
         self.play.team.finish()
         columns = self.columns()
@@ -246,7 +250,7 @@ class Recorder:
         return recording
 
     def abort(self) -> None:
-        """End the recording early; the rows in the sink stay."""
+        """End the recording early; the rows in the sink are kept."""
         if self.sink is not None:
             self.sink.abort()
 
@@ -335,7 +339,7 @@ def describe(
 ) -> RecordingHeader:
     """Return the header of a recording, known before the first step: agents, bodies, scene and rules.
 
-    ``things`` are those that people bring along (`WorldRollout.things`).
+    ``things`` are the things that people bring along (`WorldRollout.things`).
     """
     scene = episode.scene
     (file, digest), (assets, bodies) = scene_attachment(scene), scene_records(scene)

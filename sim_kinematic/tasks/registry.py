@@ -17,10 +17,10 @@ def task_registry() -> Registry[Any]:
 
 
 def find_task(task: str | Task | type[Task]) -> Task:
-    """Return the task with this name or ``module:Class``, of this class, or the task itself.
+    """Return the task with this name or ``module:Class``, of this class, or the task itself if it is one.
 
     Raises:
-        InputError: There is no such task, or the name is that of something else.
+        InputError: There is no such task, or the name does not refer to a task.
     """
     if isinstance(task, Task):
         return task
@@ -46,7 +46,7 @@ def _checked(made: Any, name: str) -> Task:
 
 
 def reference_of(task: Task) -> str:
-    """Return ``module:Class`` of a task that cannot be found by its name; empty for one that can."""
+    """Return ``module:Class`` for a task that cannot be found by its name; empty for other tasks."""
     kind = type(task)
     # whatever goes wrong with the name, an entry point that fails included, the reference still finds the task
     try:

@@ -1,7 +1,7 @@
 """Parts that all tasks need to simulate a recording again.
 
-These are the first difference between two runs, the scene and map of a recording, and the header of a recording that is
-made from another.
+The parts are the first difference between two runs, the scene and map of a recording, and the header of a recording
+that is made from another one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Verification:
     """Result of `sim_kinematic.tasks.resume.verify`."""
 
     steps: int
-    """Number of steps that agree: all, or those before the first difference."""
+    """Number of steps that agree: all of them, or those before the first difference."""
     difference: Difference | None
 
     @property
@@ -63,10 +63,10 @@ def compared(recording: Recording, simulated: Columns, ended: str) -> Verificati
 def require_recorded(
     recording: Recording, step: int, simulated: Columns, ended: str, names: list[str] | None = None
 ) -> None:
-    """Check that the first ``step`` steps came out again; ``names`` are by default all simulated columns.
+    """Check that the first ``step`` steps were reproduced, in the columns ``names`` (default: all simulated ones).
 
     Raises:
-        InputError: The steps differ, so nothing can follow them.
+        InputError: The steps differ, so the recording cannot be continued.
     """
     done = len(simulated["time_ns"])
     if done < step:
@@ -110,9 +110,9 @@ def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
     """Return the first step at which columns differ in any bit, in the rows that both have; None if there is none.
 
-    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on, except those that
-    recordings of earlier versions lack.
-    Columns that the simulator does not make are checked by the hash alone.
+    ``names`` are by default all simulated columns. A column that is missing in the recording differs from step 0 on,
+    unless recordings of earlier versions do not have it. Columns that the simulator does not produce are checked only
+    by the hash.
     """
     rows = min(len(recorded["time_ns"]), len(simulated["time_ns"]))
     first: Difference | None = None
@@ -151,19 +151,19 @@ def _text(values: NDArray[Any]) -> str:
 
 @lru_cache(maxsize=4)
 def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
-    """Return the scene and free floor from a scene file; shared by all recordings in one home."""
+    """Return the scene and free floor from a scene file, which all recordings in one home share."""
     scene = load_scene(file)
     return scene, FreeSpace.from_scene(scene, radius_m=radius_m, height_m=height_m)
 
 
 def is_counterfactual(recording: Recording) -> bool:
-    """Return whether its person does not react."""
+    """Return whether the people in a recording follow recorded tracks and do not react."""
     # recordings of people who react have no such entry
     return recording.episode.info.get("human_reactive") is False
 
 
 def origin(recording: Recording, step: int) -> dict[str, Any]:
-    """Return entries of info about the recording from which another one is made."""
+    """Return entries of info about the recording from which another recording is made."""
     return {"uid": recording.episode.uid, "step": step, "policy": recording.episode.info.get("policy")}
 
 

@@ -1,8 +1,8 @@
-"""Simulation of recordings: to compare them step by step, or to continue them from any step or with other robots.
+"""Simulation of recordings, to compare them step by step, or to continue them from any step or with other robots.
 
-A recording holds its scene, rules, starts, seed and every decision. The simulator's state after any step follows from these, so
-no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused if that does not give the recorded
-states bit for bit.
+A recording holds its scene, rules, starts, seed and every decision. The simulator's state after any step follows from
+these, so no hidden numbers are stored. Resuming from step K plays the K recorded steps, and fails if this does not
+reproduce the recorded states bit for bit.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def task_of(recording: Recording) -> Task:
     """Return the task of a recording.
 
     Raises:
-        InputError: The task is not installed, or the recording is of no simulated task.
+        InputError: The task is not installed, or the recording is not of a simulated task.
     """
     name = str(recording.episode.info.get("task") or recording.episode.task)
     try:
@@ -72,11 +72,11 @@ def task_of(recording: Recording) -> Task:
 def verify(recording: Recording) -> Verification:
     """Simulate a recording again and compare every stored column and the hash of the state step by step.
 
-    Policies whose decisions are recorded are neither made nor asked. Values are equal bit for bit on one architecture;
-    elsewhere the last bits of sines and square roots may differ.
+    Policies whose decisions are recorded are neither created nor called. Values are equal bit for bit on one
+    architecture; elsewhere the last bits of sines and square roots may differ.
 
     Raises:
-        H3DataError: The recording cannot be simulated again, as its task is not installed or it lacks something.
+        H3DataError: The recording cannot be simulated again, because its task is not installed or data is missing.
     """
     task, episode = _restored(recording)
     steps = len(recording)
@@ -151,12 +151,13 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
 def resume(
     recording: Recording, step: int, *, policy: Any = None, partner: Any = None, agents: dict[str, Any] | None = None
 ) -> Recording:
-    """Return the episode again: its first ``step`` steps as they are, then simulated, by default with the same policies.
+    """Return a recording whose first ``step`` steps are unchanged and whose further steps are simulated again.
 
-    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by agent or kind.
+    From then on, ``policy`` moves the robots and ``partner`` the people, by default with the recorded policies;
+    ``agents`` selects policies by agent or kind.
 
     Raises:
-        InputError: There is no such step or policy, or the recorded states before it do not come out again.
+        InputError: There is no such step or policy, or the recorded states before it are not reproduced.
     """
     chosen = {
         **{kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None},
@@ -178,7 +179,7 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
     People do not react, so ``info["human_reactive"]`` is False. The episode ends with their tracks, or by its rules.
 
     Raises:
-        InputError: As `resume`; or there is no robot or no person, or a person's body was not recorded.
+        InputError: The recording cannot be resumed, has no robot or no person, or lacks a person's body.
     """
     if {agent.kind for agent in recording.agents} != {"robot", "human"}:
         raise InputError(
@@ -193,19 +194,20 @@ class AddedTime(NamedTuple):
 
     person: str
     goals: int
-    """Number of goals, one after another, that the person leaves both in the recording and without robots."""
+    """Number of consecutive goals that the person leaves both in the recording and without robots."""
     seconds: float | None
-    """Time at which people leave their last goal, minus that without robots [s]; None without such a goal."""
+    """Time at which the person leaves the last of these goals, minus the time without robots [s]; None without such a
+    goal."""
 
 
 def added_time(recording: Recording) -> list[AddedTime]:
-    """Return the added time of each person of a crowd: the same seed and starts are simulated once more without robots.
+    """Return the time by which robots delay each person of a crowd, from a second simulation without them.
 
-    The difference is caused by the robots. People are compared by the goals that they go to in both simulations, up to the
-    first one that differs because of a robot.
+    Seed and starts of the second simulation are those of the recording, so the robots cause the difference. People are
+    compared by the goals that they go to in both simulations, up to the first one that differs because of a robot.
 
     Raises:
-        InputError: As `verify`; or people are of no crowd, or there is no robot.
+        InputError: The recording cannot be simulated again, people are not of a crowd, or there is no robot.
     """
     task, episode = _restored(recording)
     robots, people = _numbers(recording, "robot"), _numbers(recording, "human")

@@ -1,7 +1,7 @@
-"""Loop over the steps of an episode, in three forms.
+"""Loop over the steps of an episode, in three forms: `run`, `simulate` and `Session`.
 
-`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers with a
-clock of their own, such as a live server or a learning algorithm.
+`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers
+that control the time themselves, such as a live server or a learning algorithm.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class DecisionLoop:
         self._play, self._left = play, play.spec.max_steps
         self._commands: list[Command | None] = [None] * len(play.world.roster)
         self._turn = 0
-        """Number of agents that have made this step."""
+        """Number of agents that have already made this step."""
         self._begun = self._ended = False
         """True if the agent whose turn it is has observed the others; true if the rules have ended the episode."""
         self.over = False
         self.asked: int | None = None
-        """Number of the agent that must decide; None: a step is over, or nothing has begun."""
+        """Number of the agent that must decide; None if a step is over or no step has started."""
         self.go_on()
 
     def answer(self, choice: Any) -> None:
@@ -49,7 +49,7 @@ class DecisionLoop:
         self._go_on()
 
     def go_on(self) -> None:
-        """Begin the next step."""
+        """Start the next step."""
         if self._ended or not self._left:
             self.over = True
             return
@@ -98,9 +98,9 @@ class DecisionLoop:
 
 
 def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:
-    """Return one episode of a task under policies, by agent or kind, ready for `run`.
+    """Return a rollout of one episode under policies by agent or kind, ready for `run`.
 
-    ``measure=False`` leaves out what only rewards need.
+    ``measure=False`` leaves out quantities that only rewards need.
 
     Raises:
         InputError: There is no such policy or agent.
@@ -115,9 +115,9 @@ def run(
     steps: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> str:
-    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``, and return the reason why it ended.
+    """Play an episode for at most ``steps`` steps, and return the reason why it ended.
 
-    ``progress`` is called with 1 after every step.
+    The policies are those of ``play``. ``progress`` is called with 1 after every step.
     """
     # a DecisionLoop plays the first step as soon as it is made
     if steps == 0:
@@ -154,13 +154,13 @@ def simulate(
 
     Args:
         task: Task to play.
-        episode: From `Task.sample`.
-        policies: By agent or kind (`sim_kinematic.policies.assignment.assign`).
+        episode: Episode, such as one from `Task.sample`.
+        policies: Policies by agent or kind (`sim_kinematic.policies.assignment.assign`).
         episode_id: Name of the episode within its dataset.
         sink: Called once with what is known before the first step; returns what receives rows and events while they
             come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
-        progress: Called with 1 after every step.
-        info: Entries of the recording's info that the caller knows better than the task.
+        progress: Function that is called with 1 after every step.
+        info: Entries of the recording's info that override those of the task.
         sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
 
     Raises:
@@ -219,15 +219,15 @@ class StepResult:
     """Result of one step of a session."""
 
     step: int
-    """Number of the step that has just been played, from 0."""
+    """Number of the step that has just been played, counted from 0."""
     reward: float
     events: tuple[Event, ...]
     skills: tuple[SkillSpan, ...]
     """Skills that ended before or in this step, with outcome and reason."""
     refused: Mapping[str, str]
-    """Reason in a sentence why a skill failed in this step, by the name of an agent controlled from outside."""
+    """Reason, as a sentence, why a skill failed in this step, by the name of an agent controlled from outside."""
     waiting: tuple[str, ...]
-    """Agents that wait for a command for the next step (`Session.waiting`)."""
+    """Names of the agents that wait for a command for the next step (`Session.waiting`)."""
     ended: str
     """Reason why the episode ended; empty while it is running."""
 
@@ -255,7 +255,7 @@ class _Inbox(External):
 
 
 class Session:
-    """Episode that advances one step at a time. Agents whose policy is `External` follow the commands of `act`.
+    """Episode that advances one step at a time, in which agents with the policy `External` follow commands.
 
     ```python
     session = h3data.session("rearrange", scenes="small:3", agents={"person": External(), "robot": "complement"})
@@ -265,7 +265,7 @@ class Session:
     recording = session.close()
     ```
 
-    h3data docs sessions lists the commands of each task.
+    Commands are set by `act`; h3data docs sessions lists those of each task.
     """
 
     def __init__(
@@ -278,7 +278,10 @@ class Session:
         episode_id: str = "0",
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
+        """Start an episode and its recording.
+
+        The arguments are those of `simulate`; ``info`` is recorded from the start.
+        """
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
@@ -299,7 +302,7 @@ class Session:
 
     # --- who and what -------------------------------------------------------------------------------------------------
     def number(self, agent: str) -> int:
-        """Return the number of the agent with this name; ``person`` is ``human``.
+        """Return the number of the agent with this name; ``person`` stands for ``human``.
 
         Raises:
             InputError: There is no such agent.
@@ -322,7 +325,7 @@ class Session:
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.control.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
-        """Return the observation that a privileged policy of this agent would get now (`Task.view`)."""
+        """Return the observation that a privileged policy of an agent would get now (`Task.view`)."""
         return self.play.view(self.number(agent))
 
     # --- commands -----------------------------------------------------------------------------------------------------
@@ -341,7 +344,9 @@ class Session:
         inbox.is_urgent = self.task.control.interrupts(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
-        """Return in a sentence why an agent could not carry out a command now; None if it could. Nothing is carried out.
+        """Return, as a sentence, why an agent could not carry out a command now; None if it could.
+
+        The command is not carried out.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -359,10 +364,9 @@ class Session:
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
-        """Play one step.
+        """Play one step of the episode.
 
-        An agent that must decide and has no new command continues with its last one, or does nothing
-        (`Control.idle`).
+        An agent that must decide and has no new command continues with its last one, or does nothing (`Control.idle`).
 
         Raises:
             InputError: The episode is over.
@@ -406,9 +410,10 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """End the session and return its recording; ``info["ended"]`` states if the episode was stopped before its end.
+        """End the session and return its recording.
 
-        ``info`` is recorded too: entries that the caller knows only now.
+        The entry ``info["ended"]`` says if the episode was stopped before its end. The entries of the argument
+        ``info``, which the caller knows only now, are recorded too.
         """
         if self._closed is None:
             # `ended` begins as max_steps, which would be wrong for a session that stops early
@@ -418,7 +423,7 @@ class Session:
         return self._closed
 
     def abort(self) -> None:
-        """Leave the session without an end: the steps so far stay as an unfinished log (``.part``)."""
+        """Leave the session without an end, so that the steps so far stay as an unfinished log (``.part``)."""
         if self._closed is None:
             self.recorder.flush()
             self.recorder.abort()

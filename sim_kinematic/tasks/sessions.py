@@ -1,4 +1,4 @@
-"""Implementation of `h3data.session` and `h3data.simulate`, which play one episode by names."""
+"""Implementation of `h3data.session` and `h3data.simulate`, which play one episode of a task given by names."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ def session(
     max_steps: int | None = None,
     **overrides: RuleValue,
 ) -> Session:
-    """Begin an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
+    """Start an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
     Args:
-        task: Name, ``module:Class``, or a task.
+        task: Task, its name, or ``module:Class``.
         scenes: Homes, as in `h3data.make`; ``seed`` and ``index`` choose one of them.
         agents: Policy of each agent, by agent or kind: a name, a policy, a function, or
-            `sim_kinematic.policies.policy.External` for one that `Session.act` controls.
+            `sim_kinematic.policies.policy.External` for an agent that `Session.act` controls.
         roster: Agents that are present (default: the task's).
         seed: Seed of the run.
         index: Number of the episode in the run.
         spec: Rules of the task (default: the task's).
-        record: MCAP file that grows while the episode runs; None keeps the recording in memory.
+        record: MCAP file to which the running episode is written; None keeps the recording in memory.
         overwrite: True if an existing file may be replaced.
         share_in: Folder around ``record`` whose recordings share their scenes (`RecordingWriter`); None stores the scene in
             the recording.
         robot: Body of robots.
         human: Body of people.
-        rules: Set of rules, ``natural`` or ``paper`` (default: as ``spec`` says, natural).
+        rules: Set of rules, ``natural`` or ``paper`` (default: those of ``spec``, else ``natural``).
         human_speed: Walking speed of people [m/s].
         max_steps: Steps after which the episode ends.
         **overrides: Single rules of the task, by the name of their field in its spec, such as ``objects=3``.
@@ -96,7 +96,7 @@ def simulate(
     sensors: Sequence[str] = (),
     **overrides: RuleValue,
 ) -> Recording:
-    """Play one episode under policies and return its recording; other arguments as `session`.
+    """Play one episode under policies and return its recording; the other arguments are those of `session`.
 
     Args:
         sensors: Sensors of robots, such as ``("lidar",)``, that are recorded with every step (h3data docs lidar).

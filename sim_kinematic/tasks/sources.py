@@ -1,6 +1,6 @@
-"""Sources of episodes: homes by name, opened at first use, and episodes that are sampled in them by seeds.
+"""Sources of episodes: homes by name, which are opened at first use, and episodes that are sampled in them by seeds.
 
-`in_words` describes them in a line, for the ``repr`` of environments.
+`in_words` describes an environment's episodes in one line, for its ``repr``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Scenes = str | os.PathLike[str] | Scene | Sequence[str | os.PathLike[str] | Scen
 
 
 class Home:
-    """Scene for episodes, with its free floor."""
+    """Scene for episodes, together with its free floor."""
 
     def __init__(self, source: Scene | SceneSource, radius_m: float, height_m: float) -> None:
         self.source, self._size = source, (radius_m, height_m)
@@ -46,12 +46,12 @@ class Home:
 
     @property
     def is_ready(self) -> bool:
-        """Return whether scene and floor have been made."""
+        """Return whether the scene has been opened and its floor computed."""
         return "free" in vars(self) and "scene" in vars(self)
 
 
 class EpisodeSource:
-    """Source of episodes of one task in some homes, each determined by the seed of a run and the index of the episode."""
+    """Source of episodes of a task in several homes, each determined by a run's seed and the episode's index."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class EpisodeSource:
         robot: str | Path | Robot = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> None:
-        """Look up scenes and agents; scenes are opened at first use.
+        """Look up scenes and agents; the scenes are opened at first use.
 
         Args:
             task: task of the episodes.
@@ -111,7 +111,7 @@ class EpisodeSource:
         raise fault
 
     def prepare(self, runs: Sequence[tuple[int, int]]) -> None:
-        """Make the homes of some episodes; a progress bar shows how far it is."""
+        """Open the homes of some episodes, with a progress bar."""
         # each home once, in the order in which the episodes need them
         numbers = dict.fromkeys(self.home_of(seed, index) for seed, index in runs)
         missing = [self.homes[k] for k in numbers if not self.homes[k].is_ready]
@@ -130,7 +130,7 @@ def _sampled(task: Task, scene: Scene, free: FreeSpace, seed: int, spec: Any, ro
 
 
 def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
-    """Return scenes by name, as the command line takes them, and given ones, one after the other.
+    """Return the scenes that are named, as on the command line, or given, one after the other.
 
     Raises:
         InputError: There are no such scenes.
@@ -158,7 +158,9 @@ def in_words(
     beside: Mapping[str, str] | None = None,
     worlds: int = 1,
 ) -> str:
-    """Describe an environment: ``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
+    """Return a description of an environment in one line.
+
+    An example is ``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
 
     Args:
         task: Name of the task.

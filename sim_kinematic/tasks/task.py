@@ -1,8 +1,8 @@
 """Base class of tasks: how episodes are sampled, how steps are evaluated, and which policies are available.
 
-A task of your own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
-``module:Class``. `sample` and `judge` are enough. Recording, resuming, environments, datasets, metrics and reports then work
-for it (h3data docs extending).
+A custom task is a subclass of `Task` with a frozen `TaskSpec`, which is found by an entry point (group
+``h3data.tasks``) or as ``module:Class``. Only `sample` and `judge` are needed; recording, resuming, environments,
+datasets, metrics and reports then work for it (h3data docs extending).
 """
 
 from __future__ import annotations
@@ -69,25 +69,26 @@ _MOVED = {
 
 @dataclass(frozen=True, kw_only=True)
 class TaskUsage:
-    """Use of a task by datasets, evaluations and environments."""
+    """Settings of a task for its use by datasets, evaluations and environments."""
 
     dataset_rules: Any = None
     """Rules of generated datasets; None: `Task.Spec` with its defaults."""
     env_rules: Any = None
     """Rules of environments; None: `Task.Spec` with its defaults."""
     device_rules: Any = None
-    """Rules of environments on a device; None: those of the other environments."""
+    """Rules of environments on a device; None: the rules of other environments."""
     set_rules: Callable[[SceneSet], Any] | None = None
-    """Function that returns the rules by which a scene set samples starts, whatever users change. None: the dataset's rules."""
+    """Function that returns the rules by which a scene set samples starts, regardless of the user's changes; None: the
+    rules of datasets."""
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
-    """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
-    raises an `InputError` if a value is not allowed."""
+    """Further options of environments by name, which the task finds in ``WorldRollout.options``. The value is a
+    function that raises an `InputError` for a value that is not allowed."""
     env_partners: Mapping[str, str] = field(default_factory=dict)
     """Policies of the agents that do not act in an environment, by kind, if they differ from `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
-    """Kinds of agents whose policy a job names even if it is the default."""
+    """Kinds of agents whose policies are named in a job even if they are the default."""
     bodies_in_agents: bool = False
-    """True if the body of ``--human`` is written into the roster, for each person of it."""
+    """True if the body given by ``--human`` is written into the roster for each person."""
     crosses_partners: bool = False
     """True if an evaluation plays every policy with every partner by default."""
     can_be_solo: bool = False
@@ -95,27 +96,29 @@ class TaskUsage:
 
 
 class Task:
-    """Base class of tasks. The defaults of its attributes and methods suit robots and people who move about.
+    """Base class of tasks, whose default attributes and methods suit robots and people that move about.
 
-    Hooks take W worlds at once, or one where `Task.control` plays one at a time.
+    Hooks take W worlds at once, or one world if `Task.control` plays one at a time.
     """
 
     name: ClassVar[str] = ""
-    """Name in recordings and on the command line; by default the class's name in snake case."""
+    """Name of the task in recordings and on the command line; by default the class name in snake case."""
     Spec: ClassVar[type[Any]] = TaskSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human")
-    """Roster of agents by default (`sim_kinematic.agents.roster.make_roster`)."""
+    """Default roster of agents (`sim_kinematic.agents.roster.make_roster`)."""
     profile: ClassVar[str] = ""
-    """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
+    """Metrics profile of the task's recordings: a name or ``module:name``. If empty, it is the profile named like the
+    task, or else the generic one."""
     control: ClassVar[Control] = VelocityControl()
-    """Control of its agents: velocities and waypoints, or skills. It determines what carries out choices, how they are
-    recorded, and what agents report."""
+    """Control of the task's agents, by velocities and waypoints or by skills. It determines how choices are carried out
+    and recorded, and what agents report."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """Type (dtype) of each column in `StepOutcome.columns`."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """Policies by kind of agent and name, besides those of every task (`sim_kinematic.policies.assignment.COMMON`)."""
+    """Policies by kind of agent and name, in addition to those of every task
+    (`sim_kinematic.policies.assignment.COMMON`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
-    """Name of the default policy of each kind."""
+    """Name of the default policy, by kind of agent."""
     usage: ClassVar[TaskUsage] = TaskUsage()
     """Use of the task by datasets, evaluations and environments, if it differs from the default."""
 
@@ -130,10 +133,10 @@ class Task:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-        """Sample an episode; everything follows from the arguments.
+        """Sample an episode, which is determined by the arguments.
 
         Raises:
-            SceneError: The scene has no room for it.
+            SceneError: The scene has no room for the episode.
         """
         free = common_floor(roster, free)
         return Episode(
@@ -156,7 +159,7 @@ class Task:
         robot: str = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> Episode:
-        """Return what `sample` gives, by default for the rules and roster of the task and the map of the scene.
+        """Sample an episode, by default for the rules and roster of the task and the map of the scene.
 
         ``robot`` and ``human`` are the bodies of agents named by their kind.
         """
@@ -167,16 +170,16 @@ class Task:
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Prepare the worlds ``rows`` [n], whose episodes have just begun, and keep what the task needs in ``play.memory``.
+        """Prepare the worlds ``rows`` [n], whose episodes have just started, and store state in ``play.memory``.
 
-        Instead it may return arrays by name, [W, ...], with the values of worlds that begin now; only those of the worlds
-        ``rows`` are taken over. A task that plays on a device keeps its memory in this way.
+        Instead of storing state, the method may return arrays by name, [W, ...], with the initial values; only those of
+        the worlds ``rows`` are used. A task that runs on a device stores its state in this manner.
         """
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Judge the step that all worlds have just made.
+        """Evaluate the step that all worlds have just made.
 
-        By default nothing is rewarded and an episode lasts ``max_steps``.
+        By default rewards are 0 and an episode lasts ``max_steps``.
         """
         never, nothing = play.steps < 0, 0.0 * play.steps  # of any array namespace
         return StepOutcome(reward=nothing, terminated=never, success=never)  # type: ignore[arg-type]
@@ -186,26 +189,27 @@ class Task:
         return play.agent_view(agent, world)
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of agents of a kind by name, except pictures; by default `sim_kinematic.sensing.table.SENSORS`."""
+        """Return the sensors of a kind of agent by name, except pictures; by default those of agents without skills."""
         from sim_kinematic.sensing.table import sensors_of
 
         return sensors_of(kind)
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Return entries of an environment's ``info`` beyond its reward, [W] each."""
+        """Return entries of an environment's ``info`` in addition to its reward, each [W]."""
         return {"success": play.outcome.success.copy()}
 
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property
     def codec(self) -> EpisodeCodec[Any]:
-        """Codec of the task's episodes in files, recordings and words; by default a `TaskCodec`."""
+        """Codec of the task's episodes for files, recordings and instructions; by default a `TaskCodec`."""
         return TaskCodec(self)
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Return a maker of the policy that a name means in this task beyond its tables; None if only the tables have it.
+        """Return a maker of the policy that a name stands for in this task; None if only the tables have it.
 
-        ``spec`` are the rules that it must fit, None where they are not known yet.
+        The method is for policies that are not in the task's tables. ``spec`` has the rules that the policy must fit;
+        None if they are not known yet.
 
         Raises:
             InputError: The policy of this name cannot play this task.

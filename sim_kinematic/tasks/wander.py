@@ -1,4 +1,4 @@
-"""Task in which any robots and people move about a home from one random point to another."""
+"""Task in which any number of robots and people move about a home from one random point to another."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 STEPS = 300
-"""Default length of an episode in a dataset."""
+"""Default length of an episode in a dataset [steps]."""
 
 
 class WanderCodec(TaskCodec):
-    """Codec that writes the names of all policies in one list."""
+    """Codec that writes the names of all agents' policies as one list."""
 
     records_judgement: ClassVar[bool] = False
 
@@ -35,7 +35,7 @@ class WanderCodec(TaskCodec):
         return "walk about the home"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return the rules, the starts and, where they differ from the default, the policies for the recording's info."""
+        """Return the rules, the starts and the policies that are not the default, for a recording's info."""
         info: dict[str, Any] = {
             "max_steps": episode.spec.max_steps,
             "spec": rules_dict(episode.spec),
@@ -47,7 +47,7 @@ class WanderCodec(TaskCodec):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Return the identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
+        """Return an identifier derived from scene, bodies, seed, rules, and the policies that are not the default."""
         digest = scene_attachment(episode.scene)[1]
         models = ",".join(member.model for member in episode.roster)
         what = f"wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
@@ -56,7 +56,7 @@ class WanderCodec(TaskCodec):
         return uid_of(what)
 
     def policy_names(self, recording: Recording) -> list[str]:
-        """Return the name of each agent's policy; ``wander`` where the recording names none."""
+        """Return the name of each agent's policy, which is ``wander`` if the recording has none."""
         return [str(name) for name in recording.episode.info.get("policies", ["wander"] * len(recording.agents))]
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
@@ -69,7 +69,7 @@ class WanderCodec(TaskCodec):
 
 
 class Wander(Task):
-    """Task in which all agents go to random points and give way to each other, and an episode lasts ``max_steps``."""
+    """Task in which all agents move to random points and give way to each other for ``max_steps`` steps."""
 
     name: ClassVar[str] = "wander"
     Spec: ClassVar[type[Any]] = SocialNavSpec
@@ -80,7 +80,7 @@ class Wander(Task):
 
     @property
     def codec(self) -> WanderCodec:
-        """Codec of episodes whose recordings name all policies in one list."""
+        """Codec of episodes whose recordings have the names of all policies in one list."""
         return WanderCodec(self)
 
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
@@ -91,12 +91,12 @@ class Wander(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Forget all contacts, so that agents who touch at the start cause an event."""
+        """Reset all contacts, so that agents that touch at the start cause an event."""
         # pairs of agents that touched one step ago
         play.memory = np.zeros_like(play.world.touching)
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Report each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
+        """Report each new contact between two agents as an event; rewards are 0, and no rule ends the episode."""
         world = play.world
         events = [
             # the step is counted before it is judged, and events number steps from 0

@@ -73,7 +73,7 @@ class Close:
     """Command to close a door or a drawer."""
 
     joint: str | int
-    """Door or drawer to close, as for `Open`."""
+    """Door or drawer to close: its name (``thing/part``), or its index among the joints of the home."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +97,15 @@ class PersonCommand:
     """Turn rate as a share of the limit, -1..1, positive to the left."""
     left: HandTarget | None = None
     right: HandTarget | None = None
-    """Targets of the left and of the right hand; None: the arm swings, or carries what the hand holds."""
+    """Targets of the right and of the left hand; None: the arm swings, or carries the object in the hand."""
     head: tuple[float, float] | None = None
     """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None: it looks ahead."""
     do: Do | None = None
-    """Skill to begin. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
+    """Skill to start. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 
     @property
     def stands(self) -> bool:
-        """Return whether the command only keeps the person standing, so that a running skill continues."""
+        """Return whether the command asks for no motion but standing, so that a running skill continues."""
         return self == STAND
 
 
@@ -159,7 +159,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
 
 
 def command_to_json(action: Action) -> dict[str, Any]:
-    """Return an action as JSON types, for the recorded raw input."""
+    """Return an action as JSON types, for the raw input in recordings."""
     command = str(action.command) if isinstance(action.command, Destination) else msgspec.to_builtins(action.command)
     if isinstance(action.command, Message):
         command = action.command._asdict()
@@ -169,7 +169,7 @@ def command_to_json(action: Action) -> dict[str, Any]:
 
 
 def command_from_json(data: Any) -> Action:
-    """Return the action that `command_to_json` has written as JSON types."""
+    """Return the action that `command_to_json` has converted to JSON types."""
     given = data["command"]
     if isinstance(given, str):
         command: Any = Destination.of(given)
@@ -185,7 +185,7 @@ def command_from_json(data: Any) -> Action:
 
 
 def interrupts_skill(action: Action) -> bool:
-    """Return whether a command from outside interrupts a running skill; one to stand still does not."""
+    """Return whether a command from outside interrupts a running skill; a command to stand still does not."""
     return not (isinstance(action.command, PersonCommand) and action.command.stands)
 
 

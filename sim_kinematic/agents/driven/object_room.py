@@ -1,4 +1,4 @@
-"""Room for putting down an object: free space, support, and the place to which it falls."""
+"""Room for putting down an object: free space, support, and the place to which the object falls."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from sim_kinematic.contact.clearance import scenery_of
 
 @dataclass(frozen=True)
 class ObjectRoomSpec:
-    """Tolerances within which a thing can be put down."""
+    """Tolerances that decide whether an object can be put down at a place."""
 
     sunk_m: float = 0.01
-    """Depth to which a thing may be put into its support [m]: recorded goals float 1 mm above a surface, a hand errs by
-    1 cm."""
+    """Depth to which an object may be put into its support [m]. Recorded goals float 1 mm above a surface, and a hand
+    errs by 1 cm."""
     inside_m: float = 0.025
-    """Largest depth of a thing in its neighbours [m]: sampled goals stay on the surface that carries them, but
-    may overlap its edges (1 of 16 goals in small homes is 2.1 cm in one)."""
+    """Largest depth of an object in neighbouring things [m]. Sampled goals lie on their surface but may overlap its
+    raised edges (by 2.1 cm at 1 of 16 goals in small homes)."""
     upright: float = 0.7
-    """Vertical part of a contact's normal below which the contact is from the side."""
+    """Vertical component of a contact's normal below which the contact counts as one from the side."""
     support_m: float = 0.05
-    """Largest distance of a thing from the surface below that carries it [m]."""
+    """Largest distance of an object from the surface below that carries it [m]."""
     apart_m: float = 0.01
-    """Least gap between the circles of two things that stand side by side, as in sampled episodes [m]."""
+    """Least gap between the bounding circles of two objects that stand side by side, as in sampled episodes [m]."""
     fall_step_m: float = 0.02
-    """Length of the steps in which the surface below a thing is sought [m]."""
+    """Length of the steps in which the surface below an object is searched [m]."""
     fall_halvings: int = 6
-    """Number of halvings of the last of these steps."""
+    """Number of times that the last step of the search for the surface below an object is halved."""
 
 
 ROOM = ObjectRoomSpec()
 
 
 class ObjectRoom:
-    """Static things of a scene and its movable ones, for tests of free room."""
+    """Static things and movable objects of a scene, for tests of free room."""
 
     def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
-        """Create a room for the objects of a task; ``names`` are theirs, in the order of their poses [K, 7]."""
+        """Create the tests for the objects of a task, whose ``names`` are in the order of their poses [K, 7]."""
         self._scenery, self._floor_y, self._heights = scenery_of(scene), floor_y, room_heights(scene.rooms)
         instances = {i.name: i for i in scene.instances}
         self._shapes = [
@@ -59,7 +59,7 @@ class ObjectRoom:
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
         """Return the reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
 
-        It is ``no_space`` or ``no_support``; empty if the object can be put down.
+        The reason is ``no_space`` or ``no_support``, or empty if the object can be put down.
         """
         floor_y = self._floor_below(pose)
         if pose[1] + self._extents[k][1] < floor_y - ROOM.sunk_m or self._is_inside(k, pose):
@@ -79,9 +79,9 @@ class ObjectRoom:
         return float(floor_heights(self._heights, self._floor_y, pose[[0, 2]], treads=True))
 
     def fallen(self, k: int, pose: Array) -> Array:
-        """Return the pose7 of object ``k`` after it has fallen straight down on what is below.
+        """Return the pose7 of object ``k`` after it has fallen straight down onto the surface below.
 
-        An object that is in something stays.
+        An object that overlaps a static thing stays where it is.
         """
         lowest = self._floor_below(pose) - self._extents[k][1] - pose[1]
         down = 0.0
@@ -117,17 +117,17 @@ class ObjectRoom:
 
 
 def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
-    """Return the radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    """Return an object's radius on the floor plane and its lowest and highest point relative to its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
     # the origin need not be in the middle of the thing
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
 
 
 def grip_radii(scene: Scene, names: Sequence[str]) -> dict[str, float]:
-    """Return the radii of the grips by which hands hold objects, by name of the instance [m].
+    """Return the grip radii [m] with which hands hold objects, by the name of the instance.
 
-    A hand grips books and plates by their thinnest side, so their radius is half of it; for cups and balls it is the
-    radius of the object.
+    A hand grips books and plates across their thinnest side, so the grip radius is half of that side. For cups and
+    balls it is the radius of the object.
     """
     found = (i for i in scene.instances if i.name in names)
     return {i.name: float(np.ptp(scene.assets[i.asset].mesh.bounds * i.scale, axis=0).min()) / 2 for i in found}

@@ -1,4 +1,4 @@
-"""A person driven from outside: velocity, hands and head in every step, and skills that a command begins."""
+"""A person driven from outside: velocity, hands and head in every step, and skills that a command starts."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class DrivenPersonSpec:
     """Limits of a person who is driven from outside."""
 
     hand_steps: int = 8
-    """Number of steps in which an arm moves from its swing to its target, and back."""
+    """Number of steps in which an arm moves from its swing to its target, or back."""
     hand_mps: float = 4.0
     """Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
     head_rad_s: float = 6.0
     """Largest speed at which the head turns [rad/s]."""
     meeting_m: float = 0.12
-    """Distance from the robot's hand at which a giving hand stops, with the object in between [m]."""
+    """Distance between the hands of a person and a robot at which the person hands over an object [m]."""
     draws_in_mps: float = 0.4
     """Speed at which the robot's hand closes around the object that it is given [m/s]."""
     eyes_m: float = 1.4
@@ -63,16 +63,16 @@ DRIVEN = DrivenPersonSpec()
 
 @dataclass(eq=False)
 class DrivenPerson(PersonActor):
-    """Person that follows `PersonCommand`s. Until the first command, all skills are those of a `PersonActor`."""
+    """Person that follows `PersonCommand`s; until the first command, the person has the skills of a `PersonActor`."""
 
     object_room: ObjectRoom | None = None
-    """Tests where an object fits; None: it fits everywhere."""
+    """Test of where an object can be put down; None: every place is allowed."""
     radius_m: float = 0.25
     """Radius of the disc that keeps clear of obstacles [m]."""
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
     seats: Seats | None = None
-    """Seats of the home; None: the person sits nowhere."""
+    """Seats of the home; None: the person cannot sit down."""
     seat: SeatPlace | None = None
     """Seat on which the person sits down, sits, or from which they get up."""
     _leaving: Motion | None = None
@@ -118,7 +118,7 @@ class DrivenPerson(PersonActor):
         return super().infeasible(action)
 
     def refusal(self, action: Action) -> str:
-        """Return the reason why an action would fail if it began now, as far as known; empty if it would succeed."""
+        """Return the reason why an action would fail if it started now, as far as known; empty if it would succeed."""
         why = self.infeasible(action)
         if why or action.skill not in ("pick", "place") or action.command:
             return why
@@ -126,7 +126,7 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Return the nearest pose ``(x, z, heading)`` [3] with room for the body whose hand reaches a world point [3] [m].
+        """Return the nearest pose ``(x, z, heading)`` [3] with room from which a hand reaches a point [3].
 
         Returns None if there is none. The search may take 50 ms.
         """
@@ -169,14 +169,14 @@ class DrivenPerson(PersonActor):
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def start(self, action: Action) -> Skill:
-        """Begin a skill; one step of direct control counts as a skill too."""
+        """Start a skill; one step of direct control counts as a skill too."""
         if action.skill == CONTROL:
             assert isinstance(action.command, PersonCommand)
             return self._control(action.command)
         return self._after_standing(action)
 
     def idle(self) -> None:
-        """Stand still for one step, by the feet of the driven person, or as people with skills do."""
+        """Stand still for one step, with planted feet if the person is under direct control."""
         if self._stirs:
             self._drive(STAND)
         else:

@@ -1,4 +1,4 @@
-"""Closed doors on paths: the floor of a home whose doors and drawers move, and the door to open first to reach a place."""
+"""Closed doors on paths: floors of homes whose doors and drawers move, and the first door to open on a path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
     open_share: ClassVar[float] = 0.95
-    """Share of a door's range from which on an open door does not block a path."""
+    """Share of a door's range above which an open door does not block a path."""
     scene: Scene
     """Home with the doors at rest."""
     open_scene: Scene
@@ -37,12 +37,12 @@ class RoomDoors:
     @staticmethod
     @lru_cache(maxsize=16)
     def of(scene: Scene, free: FreeSpace) -> RoomDoors:
-        """Return the doors of a home whose floor at rest is ``free``; found once per home."""
+        """Return the doors of a home whose floor at rest is ``free``; they are searched once per home."""
         there = passable(scene, free)
         return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
-        """Return whether some stands ``(x, z, heading)`` [N, 3] are on both sides of a closed door."""
+        """Return, for each side of a closed door, whether one of the stands ``(x, z, heading)`` [N, 3] is on it."""
         closed = joints_of(self.scene).rest.copy()
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
@@ -54,7 +54,7 @@ class RoomDoors:
         return bool((side > 0).any()), bool((side < 0).any())
 
     def crossed(self, path: Array, positions: Array, radius_m: float) -> list[int]:
-        """Return doors that a path [N, 2] crosses, in its order, and that are not open with the joints at ``positions`` [J]."""
+        """Return the doors on a path [N, 2], in order, that are closed with the joints at ``positions`` [J]."""
         shares = joints_of(self.scene).shares(positions)
         if len(path) < 2:
             return []
@@ -81,14 +81,14 @@ class RoomDoors:
         *,
         detour_m: float = DETOUR_M,
     ) -> int:
-        """Return the first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
+        """Return the first door to open on the path from a floor point [2] to a place to stand, or -1 if there is none.
 
         Args:
             start: The floor point.
-            stands: Gives the places ``(x, z, heading)`` [N, 3] on a floor.
+            stands: Function that returns the places to stand ``(x, z, heading)`` [N, 3] on a floor.
             floor: The floor with the joints of the home at ``positions`` [J].
             positions: Positions of all joints [J] [rad or m].
-            detour_m: A path without opening doors that is longer by at most this is preferred.
+            detour_m: Additional length of a path without closed doors that is still preferred [m].
         """
         # the floor as it is first: half of the searches where no door is in the way
         around = nearest_stand(floor, stands(floor), start)[1]

@@ -39,11 +39,11 @@ class OpeningSpec:
     samples: int = 6
     """Number of points along each edge of a part's boxes that represent its outline from above."""
     shrunk_m: float = 0.008
-    """Distance at which parts may pass things beside them [m]."""
+    """Depth by which moving parts may overlap the things beside them [m]."""
     passes_m: float = 0.03
-    """Depth of an agent's disc in a part above which the agent counts as hit [m]."""
+    """Depth of an agent's disc in a part above which the part hits the agent [m]."""
     tall_m: float = 1.8
-    """Height over the floor above which a part passes over everybody's head [m]."""
+    """Height over the floor above which a part passes over the heads of all agents [m]."""
 
 
 OPENING = OpeningSpec()
@@ -57,7 +57,7 @@ class ArticulatedParts:
     objects: Objects
     floor_y: float
     company: Company | None = None
-    """Agents that it may obstruct; None: there are none."""
+    """Agents that the parts may obstruct; None: there are none."""
     doors: frozenset[int] = frozenset()
     """Joints of the doors between rooms: they are opened from both sides, and walls do not obstruct them."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
@@ -86,7 +86,7 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Return whether a part is open enough for hands."""
+        """Return whether a part is open far enough for hands to reach in."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:
@@ -95,7 +95,7 @@ class ArticulatedParts:
         return np.einsum("...jab,jb->...ja", motions[..., :3, :3], self._handles) + motions[..., :3, 3]
 
     def scene_now(self) -> Scene:
-        """Return the scene with the joints where they are."""
+        """Return the scene with its joints at their present positions."""
         key = self.positions.tobytes()
         if key not in self._scenes:
             if len(self._scenes) >= 8:
@@ -106,7 +106,7 @@ class ArticulatedParts:
 
     # --- what is shut in ------------------------------------------------------------------------------------------------
     def barrier(self, foot: Array) -> int:
-        """Return the joint that has to be opened first to reach something whose lowest point is a world point [3]; -1: none."""
+        """Return the joint to open first to reach an object whose lowest point is at a world point [3], or -1."""
         motions = self.joints.motions(self.positions)
         is_open = self.joints.is_open(self.positions)
         for instance, asset, needed in self._enclosed:
@@ -119,7 +119,7 @@ class ArticulatedParts:
         return -1
 
     def barrier_of(self, k: int, *, at_goal: bool = False) -> int:
-        """Return the joint that has to be opened first to take object ``k``, or to put it at its goal; -1: none."""
+        """Return the joint to open first to take object ``k``, or to put it at its goal; -1 if there is none."""
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
         # what is in a hand is shut in by nothing, wherever the hand is
         if not at_goal and self.objects.held_by[k] != NOBODY:
@@ -127,7 +127,7 @@ class ArticulatedParts:
         return self.barrier_for(k, point)
 
     def barrier_for(self, k: int, point: Array) -> int:
-        """Return the joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
+        """Return the joint to open first to put object ``k`` at a world point [3] (its origin); -1 if there is none."""
         # receptacles carry things by their lowest point
         return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
 
@@ -148,7 +148,7 @@ class ArticulatedParts:
 
     # --- what moves -----------------------------------------------------------------------------------------------------
     def travel(self, k: int, *, opens: bool) -> NDArray[np.float64]:
-        """Return the positions [T] of a joint from now to its open or its closed end, one a step."""
+        """Return the positions [T] [rad or m] of a joint in each step from now to its open or its closed end."""
         joint, start = self.joints.parts[k][1].joint, float(self.positions[k])
         end = joint.opened if opens else joint.closed
         speed = OPENING.swing_rad_s if joint.kind == "revolute" else OPENING.slide_mps
@@ -159,7 +159,7 @@ class ArticulatedParts:
         return way
 
     def move(self, k: int, position: float) -> None:
-        """Move a joint, and with it the objects that lie on what it moves."""
+        """Move a joint, and with it the objects that lie on the parts that it moves."""
         state, before = self.objects.state, self.joints.motions(self.positions)
         # asked before it moves, while they lie where the part is
         lying = self._lying(k, before)
@@ -194,7 +194,7 @@ class ArticulatedParts:
 
     # --- what is in the way ---------------------------------------------------------------------------------------------
     def points(self, k: int, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return world points [P, 3] on all that a joint moves, at its positions [T], up to `OPENING.tall_m`."""
+        """Return world points [P, 3] [m] on all that a joint moves, at its positions [T], up to `OPENING.tall_m`."""
         positions = np.tile(self.positions, (len(way), 1))
         positions[:, k] = way
         motions = self.joints.motions(positions)
@@ -226,7 +226,7 @@ class ArticulatedParts:
         return np.concatenate([np.zeros((0, 2)), *found])
 
     def hits_agent(self, k: int, way: NDArray[np.float64]) -> int:
-        """Return the first agent into whose discs a joint would move something at positions [T]; -1: none."""
+        """Return the first agent whose discs a joint would hit at positions [T], or -1 if there is none."""
         points = self.points(k, way)[:, [0, 2]]
         for number in range(0 if self.company is None else len(self.company.actors)):
             if bool(_covered(points, self.company.discs_of(number)).any()):  # type: ignore[union-attr]
@@ -279,9 +279,9 @@ class ArticulatedParts:
 
 
 def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_m: float) -> NDArray[np.bool_]:
-    """Return at which stands ``(x, z, heading)`` [N, 3] no disc of the base covers one of the floor points [P, 2].
+    """Return whether the base at each stand ``(x, z, heading)`` [N, 3] keeps off the floor points [P, 2], as bool [N].
 
-    The centres of the discs are ``offsets`` ahead of the middle of the base.
+    The base is a row of discs of ``radius_m``, whose centres are ``offsets`` [m] ahead of its middle.
     """
     clear = np.ones(len(stands), np.bool_)
     if not len(points):

@@ -1,4 +1,4 @@
-"""Reach into a home after the parts that block it have been opened."""
+"""Reach into a home once the doors and drawers that block it have been opened."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim_kinematic.motion.state import WorldState
 
 
 class ReachQuery(NamedTuple):
-    """Place to reach, with the doors and drawers as they are at that time."""
+    """Place to reach, together with the doors and drawers as they are when it is reached."""
 
     scene: Scene
     """Home in which the doors and drawers around the place are open."""
@@ -84,7 +84,7 @@ def _opened(
 
 
 def openables_at(scene: Scene, positions: Array, doors: frozenset[int] = frozenset()) -> ArticulatedParts:
-    """Return the doors and drawers of a home, in which nothing moves, at positions [J]."""
+    """Return the doors and drawers of a home at positions [J] [rad or m], without agents or objects."""
     state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
     state.joint_pos[0] = positions
     return ArticulatedParts(scene, Objects((), np.zeros((0, 3)), state), 0.0, doors=doors)

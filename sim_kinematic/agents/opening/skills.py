@@ -1,6 +1,6 @@
 """Skills at doors and drawers, for robots and people.
 
-They say what must hold before a skill begins, where to stand, and how a part moves while a hand leads it.
+The module has the preconditions of these skills, the places to stand, and the motion of a part that a hand leads.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ at an end."""
 
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
-    """Return the reason why no agent could open or close a part now; empty if one could. Reach is tested separately."""
+    """Return the reason why no agent could open or close a part now; empty if one could.
+
+    Whether a hand reaches the handle is tested separately.
+    """
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
     k, opens = action.target, action.skill == "open"
@@ -52,7 +55,7 @@ def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
 def stands_before(
     openables: ArticulatedParts, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Return which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
+    """Return whether each pose ``(x, z, heading)`` [N, 3] at a handle is suitable for moving its part, as bool [N].
 
     Suitable poses are in front of the part, on either side of a door, and out of the sweep of this part and of other
     parts that are open.
@@ -69,7 +72,7 @@ def stands_before(
 
 
 class Leading:
-    """Joint that a hand moves along its range step by step; it waits for agents in its path."""
+    """Joint that a hand moves along its range step by step, and that waits for agents in its path."""
 
     def __init__(self, openables: ArticulatedParts, k: int, *, opens: bool) -> None:
         self.openables, self.k = openables, k
@@ -80,7 +83,7 @@ class Leading:
 
     @property
     def gave_up(self) -> bool:
-        """Return whether somebody stayed in the way for too long."""
+        """Return whether an agent has blocked the part for too long."""
         return self._waited > PATIENCE_STEPS
 
     def advance(self, step: int) -> bool:

@@ -1,1 +1,1 @@
-"""Oracle skills as in Habitat, which a device can repeat step for step: `sim_kinematic.motion.spec.OracleSpec`."""
+"""Oracle skills as in Habitat, which a device can reproduce step for step (`sim_kinematic.motion.spec.OracleSpec`)."""

@@ -33,7 +33,7 @@ class SubGoal(NamedTuple):
     """Place to which a skill with an object, a door or a drawer leads."""
 
     ways: PathTable
-    """Shortest paths to the places from which the agent reaches the object."""
+    """Shortest paths to the places from which the agent reaches the sub-goal."""
     point: Array
     """Place of the sub-goal [3] [m]."""
 
@@ -44,13 +44,13 @@ class SubGoals:
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
-    """Paths to the initial place of each object; ``to_goal`` has the paths to its goal."""
+    """Paths to the initial place of each object."""
     to_goal: Sequence[PathTable]
     starts: Array
     """Initial positions of the objects [K, 3] [m]."""
     goals: Array
     to_part: Mapping[int, SubGoal]
-    """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with what opens as it is at rest."""
+    """Sub-goals at the handles of the doors and drawers that the agent may open, by joint, with these parts at rest."""
 
     def of(self, action: Action, poses: Array) -> SubGoal:
         """Return the sub-goal of a skill with an object or at a handle, given the poses [K, 7] of all objects."""
@@ -67,7 +67,7 @@ class SubGoals:
 
 
 def carry_point(body: Robot | Humanoid) -> Array:
-    """Return where a held object is in its agent's root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    """Return the position of a held object in its agent's root frame [3] [m]: in the hand, or before the chest."""
     if isinstance(body, Robot):
         frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ body.hand_position
@@ -140,7 +140,7 @@ class OracleRobot(RobotActor):
         return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
-        """Take the object into the hand, in which it keeps its direction."""
+        """Take an object into the hand, in which it keeps its orientation in the world."""
         hand, pose = self.hand_pose, self.objects.poses[k]
         turn = pose_multiply(pose_inverse(hand), np.append(hand[:3], pose[3:]))
         self.objects.state.grip_pose[0, k] = turn
@@ -161,7 +161,7 @@ class OraclePerson(PersonActor):
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
-        """Return the reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
+        """Return the reason why an action is impossible now; empty if it is possible."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
@@ -202,7 +202,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def take(self, k: int) -> None:
-        """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
+        """Place an object in front of the chest, in its present orientation, with the right arm posed to hold it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
         # relative to the root, so that the object turns with the person
@@ -279,7 +279,7 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
 
 
 class DiscContacts(GivingWay):
-    """Contact rule of agents that give way to nobody and touch if their discs do."""
+    """Contact rule of agents that do not give way and that touch if their discs overlap."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
         """Return False: with oracle skills no agent gives way to another."""

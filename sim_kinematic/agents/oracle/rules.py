@@ -1,4 +1,4 @@
-"""Rules of oracle skills, for numbers, arrays and tensors: agents on the CPU and worlds on a device follow the same ones."""
+"""Rules of oracle skills for numbers, arrays and tensors, shared by agents on the CPU and worlds on a device."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ AIMED_RAD = 1e-3
 
 
 def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
-    """Return whether a robot ``away`` [m] from the point that it drives to has come to the end of its path.
+    """Return whether a robot has come to the end of its path.
 
     Args:
-        away: the distance [m].
+        away: distance to the point that the robot drives to [m].
         is_end: whether that point is the end of the path.
-        best: what it has left to do at the least so far (`left_to_do`), below 0 once it has begun to turn.
-        since: steps since then.
+        best: least remainder so far (`left_to_do`), which is below 0 once the robot has started to turn.
+        since: number of steps since that least remainder.
     """
     # `|` and `&`, because tensors have no `or` and `and`
     # 10: a robot that has not got on for this long is content with a place from `NEARLY_M`
@@ -35,11 +35,11 @@ def left_to_do(away: Any, error_rad: Any) -> tuple[Any, Any]:
 
 
 def gets_on(left: Any, best: Any) -> Any:
-    """Return whether the remainder (`left_to_do`) is at least 1 mm (or 0.01 rad) below the least so far."""
+    """Return whether the remainder (`left_to_do`) is at least 1 mm (or 0.01 rad) below the least one so far."""
     return left < best - 1e-3
 
 
 def reaches(oracle: OracleSpec, gaps: Any, error_rad: Any) -> Any:
-    """Return whether agents are at one of the places at offsets ``gaps`` [..., S, 2] [m] from them and face their target."""
+    """Return whether agents face their target at one of the places at offsets ``gaps`` [..., S, 2] [m] from them."""
     there = (gaps[..., 0] ** 2 + gaps[..., 1] ** 2 <= oracle.reach_m**2).any(-1)
     return there & (abs(error_rad) <= oracle.reach_rad)

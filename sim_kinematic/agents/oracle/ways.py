@@ -1,7 +1,7 @@
 """Shortest paths to fixed places as tables: the first point from each cell of the floor, and from each corner of the paths.
 
-A path from anywhere is then a few look-ups, which a GPU does as well as a CPU: to the corner that the cell names, from corner
-to corner, to the nearest place. All of it is exact but for the first leg, which is chosen for the middle of a cell
+A path is then a few look-ups, which a GPU does as well as a CPU: from the cell to a first corner, from corner to
+corner, and to the nearest place. The result is exact except for the first leg, which is chosen for the middle of a cell
 (tests/sim/agents/test_oracle.py: lengths within 1% of `FreeSpace.geodesic`, at the median 0.01%).
 """
 
@@ -20,14 +20,15 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 
 CELL_M = 0.2
-"""Side of a cell [m]. With 0.1 m paths are no more than 0.1% shorter, and the tables four times as large."""
+"""Side of a cell [m]; with 0.1 m, paths would be at most 0.1% shorter and the tables four times as large."""
 NONE = -1
 SKIP_M, DETOUR_M, SPREAD = 0.25, 0.05, 4
-"""Corners of a path that are nearer than `SKIP_M` to the one before are passed over: an inflated corner is an arc of many
-points, whose chord leaves the free area by 3 cm at most, where the radius of the agent is 25 cm. A first point that all of a
-cell sees is taken before one that its middle alone sees if the path is longer by `DETOUR_M` at most: from the rest of the cell
-the path to the latter may touch what it passes, as bases slide along it. A cell that is not free uses the path of the nearest
-free one up to `SPREAD` cells away."""
+"""Constants of the tables of paths. Corners of a path that are nearer than `SKIP_M` [m] to the one before are skipped:
+an inflated corner is an arc of many points, whose chord leaves the free area by at most 3 cm where the radius of the
+agent is 25 cm. A first point that is visible from the whole cell is preferred to one that is visible from its middle
+only if the path is longer by at most `DETOUR_M` [m], because from the rest of the cell the second path may touch
+obstacles, along which bases slide. A cell that is not free uses the path of the nearest free cell up to `SPREAD` cells
+away."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,14 +42,14 @@ class FloorCells:
     middles: Array
     """Free point of each cell, its middle where that is free, [C, 2]; NaN where no point is free."""
     samples: Array
-    """Middle of each cell and points on its border, [C, 9, 2]; NaN where they are not free."""
+    """Middle of each cell and points on its border, [C, 9, 2] [m]; NaN for points that are not free."""
     start: NDArray[np.int64]
-    """First corner of each cell, [C + 1]: cell c has ``corners[start[c]:start[c + 1]]``."""
+    """Index of the first corner of each cell, [C + 1]: cell c has ``corners[start[c]:start[c + 1]]``."""
     corners: NDArray[np.int32]
     away: Array
     """Distance from the middle of the cell to each corner [m]."""
     whole: NDArray[np.bool_]
-    """True if the corner is visible from the whole cell."""
+    """True if the corner is visible from all of the cell."""
 
     # made once for each floor
     @classmethod
@@ -82,7 +83,7 @@ class FloorCells:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathTable:
-    """Shortest paths to the nearest of some places. Points are numbered: the corners of the floor, then the places."""
+    """Shortest paths to the nearest of several places; corners of the floor are numbered first, then the places."""
 
     points: Array
     """Nodes of the graph: corners, then places, [n + S, 2] [m]."""
@@ -95,7 +96,7 @@ class PathTable:
     after: NDArray[np.int16]
     """Number of the next point of the path from each corner, [n]; -1: there is no path."""
     left: Array
-    """Length of the path from each point, [n + S] [m]; inf: there is none."""
+    """Length of the path from each point, [n + S] [m]; infinity if there is no path."""
 
     @property
     def ends(self) -> Array:
@@ -103,7 +104,7 @@ class PathTable:
         return self.points[self.corners :]
 
     def cell(self, xz: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of the cell of points [..., 2]; of the nearest one for those beside the floor."""
+        """Return the number of the cell of points [..., 2] [m], or of the nearest cell for points beside the floor."""
         at = np.floor((np.asarray(xz, np.float64) - self.origin) / CELL_M).astype(np.int64)
         i, j = (at[..., k].clip(0, self.shape[k] - 1) for k in (0, 1))
         return i * self.shape[1] + j
@@ -113,7 +114,7 @@ class PathTable:
         return int(self.first[self.cell(xz)])
 
     def length(self, xz: ArrayLike) -> Array:
-        """Return the length [...] [m] of the path from points [..., 2]; inf: there is none."""
+        """Return the length [...] [m] of the path from points [..., 2]; infinity if there is no path."""
         xz = np.asarray(xz, np.float64)
         number = self.first[self.cell(xz)].astype(np.int64)
         # where there is no path, -1 reads the last point, and the result is thrown away

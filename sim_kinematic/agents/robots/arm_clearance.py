@@ -1,7 +1,8 @@
 """Room for a robot's arm: tests whether its hand gets from a stand to a point without walls or furniture in between.
 
-Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
-point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
+FCL makes two tests against the static scene. `ArmClearance.is_open` tests that nothing stands between the shoulder and
+the point, at the height of the hand. `ArmClearance.is_clear` tests that the arm itself touches nothing on its path to
+the point and back.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ class ArmClearanceSpec:
     """Constants of the test that decides if a robot's arm is clear of obstacles."""
 
     approach_m: float = 0.1
-    """Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""
+    """Height above an object from which a robot's hand approaches it, and to which the hand lifts it [m]."""
     line_radius_m: float = 0.01
     """Radius of the line along which the hand approaches [m]."""
     frames: int = 8
-    """Number of postures that are checked between the resting one and the one over the point."""
+    """Number of postures that are checked between the resting posture and the one over the point."""
     held_m: float = 0.05
     """Radius of the ball that represents the object in the hand [m]."""
     ways_kept: int = 1000
     """Number of cached paths of a robot's arm, 12 kB each; a home has about 450."""
     answers_kept: int = 10_000
-    """Number of cached answers, 300 bytes each."""
+    """Number of cached results, 300 bytes each."""
 
 
 CLEARANCE = ArmClearanceSpec()
@@ -76,7 +77,7 @@ class ArmClearance:
         )
         joints = joints_of(scene)
         self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
-        """Drawers: an object is taken from inside a drawer, past its rim."""
+        """Drawers of the scene, whose rim the hand may pass to take an object from inside."""
         self._ways = _arm_paths(robot)
         self._open: dict[tuple[bytes, bytes], bool] = {}
         self._clear: dict[tuple[bytes, bytes], bool] = {}
@@ -167,7 +168,7 @@ def _remembered(
 
 
 def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
-    """Return joint positions `CLEARANCE.approach_m` over a pose7 [7] of the hand in the agent root frame, and at it.
+    """Return joint positions [J] with the hand `CLEARANCE.approach_m` above a pose7 [7] in the root frame, and at it.
 
     None: the arm does not reach it.
     """
@@ -196,7 +197,7 @@ def arm_clearance(scene: Scene, robot: Robot, floor_y: float) -> ArmClearance:
 
 
 def arm_links(robot: Robot) -> list[int]:
-    """Return the links that an arm joint moves, and those attached to them."""
+    """Return the links that an arm joint moves, and the links attached to them."""
     moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
     links: list[int] = []
     # links come parents first, so one pass finds all that hang on the arm

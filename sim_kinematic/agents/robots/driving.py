@@ -1,4 +1,4 @@
-"""Driving of a robot with an arm: around agents, out of narrow places, with a held object."""
+"""Driving of a robot with an arm: around agents, out of narrow places, and with a held object."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from sim_kinematic.motion.state import ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
 STUCK_STEPS = 60
-"""Number of steps without getting nearer to its destination after which a base gives up."""
+"""Number of steps without progress towards its destination after which a base gives up."""
 ARRIVED_M = 0.04
 """Distance within which a base is at its destination [m]."""
 NEARLY_M = 0.15
@@ -45,32 +45,33 @@ FACING_RAD = 0.04
 
 @dataclass(eq=False)
 class RobotDriver:
-    """Base class of actors of robots with an arm, for driving. It changes ``objects.state``."""
+    """Base class for driving of robots with an arm, which changes ``objects.state``."""
 
     robot: Robot
     free: FreeSpace
     """Floor for a base of the robot's size."""
     base: BaseSpec
-    """Discs and limits of the base (`sim_kinematic.avoidance.robot_base.base_of`), which also cover what the robot carries."""
+    """Discs and limits of the base (`sim_kinematic.avoidance.robot_base.base_of`), which also cover the object that it
+    carries."""
     objects: Objects
     grip_m: float
     arm_rad_s: float
     number: int = ROBOT
-    """Index of the agent."""
+    """Number of the agent in its world."""
     arm_clearance: ArmClearance | None = None
-    """Tests where the robot's arm has room; None if it has room everywhere."""
+    """Test of the room for the robot's arm; None: no test is made."""
     avoids: bool = True
     """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
-    """Agents to which the robot gives way, itself included; None: it is alone."""
+    """Agents to which the robot gives way, with access by number; None: the robot is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
-    """Last command of the base, -1..1 of the limits."""
+    """Last command of the base: forward and left turn, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
     is_robot = True
@@ -78,7 +79,7 @@ class RobotDriver:
     def __post_init__(self) -> None:
         self._arm = np.array(self.robot.arm_columns, np.intp)
         self.state: RobotState = self.objects.state.robots[self.number]
-        """Its own part of the state of one world."""
+        """Part of the robot in the state of one world."""
         # attributes, because a step reads them thirty times, and each view takes as long as a sum
         self.xz: NDArray[np.float64] = self.state.xz[0]
         """Position on the floor [2] [m], a view."""
@@ -110,11 +111,11 @@ class RobotDriver:
 
     @property
     def agreed(self) -> bool:
-        """Return whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+        """Return whether all agents step aside on request (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:
-        """Return whether the robot touches another agent in its present posture, so that it stops where it was."""
+        """Return whether the robot touches another agent in its present posture, so that it stays where it was."""
         return self.company is not None and self.company.meets(self)
 
     @property
@@ -129,7 +130,7 @@ class RobotDriver:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Return the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
+        """Return the points [N, 2] [m] of the path that the robot drives, from its own place on; computed when read."""
         if callable(self._path):
             self._path = self._path()
         return self._path
@@ -156,17 +157,17 @@ class RobotDriver:
 
     @property
     def arm(self) -> NDArray:
-        """Positions of the joints that move the hand [n], a copy."""
+        """Positions of the joints that move the hand, [n] [rad or m]; a copy."""
         return self.joints[self._arm]
 
     @property
     def pose(self) -> Array:
-        """Pose (pose7) of the agent root."""
+        """Pose (pose7) of the agent root in the world."""
         return root_pose(self.robot, self.xz, self.heading, self.free)
 
     @property
     def hand_pose(self) -> Array:
-        """Pose (pose7) in the world of the point at which the hand holds things."""
+        """Pose (pose7) in the world of the grasp point of the hand."""
         frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
         out = pose_from_matrix(frame)
         out[:3] += frame[:3, :3] @ self.robot.hand_position
@@ -178,7 +179,7 @@ class RobotDriver:
         return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
     def walk_on(self, free: FreeSpace) -> None:
-        """Use another floor from now on, because something of the home has opened or closed."""
+        """Use another floor from now on, because a door or drawer of the home has moved."""
         self.free = free
 
     def idle(self) -> None:
@@ -241,8 +242,8 @@ class RobotDriver:
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
         """Drive to within a distance of a floor point [2] and turn there until the hand points at ``facing`` [2].
 
-        The base gives way, backs out of narrow places and goes around whoever stands in its path; it fails, ``stuck``, after
-        `STUCK_STEPS` without getting on, or, ``blocked``, where it is turned away.
+        The base gives way, backs out of narrow places and drives around agents that stand in its path. It fails with
+        ``stuck`` after `STUCK_STEPS` without progress, and with ``blocked`` where it is turned away.
         """
         reach = 0.0 if facing is None else reach_bearing(self.robot)
         bearing = None if facing is None else heading_to(goal, facing, reach)

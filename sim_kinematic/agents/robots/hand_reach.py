@@ -1,7 +1,7 @@
-"""Postures that bring a robot's hand to an object, pitched and not rolled, for picking and placing.
+"""Postures that bring a robot's hand to an object for picking and placing, pitched but not rolled.
 
-An arm of six joints or more takes the whole orientation. One with fewer, such as a lift with a sliding arm and a wrist, leaves
-out the yaw: what it holds turns about the vertical, and stands upright all the same.
+An arm of six joints or more reaches the whole orientation. An arm with fewer joints, such as a lift with a sliding arm
+and a wrist, leaves out the yaw: the held object turns about the vertical but stays upright.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from h3data.geometry import IDENTITY_POSE, Array, quat_from_matrix, quat_rotate
 
 @dataclass(frozen=True)
 class HandReachSpec:
-    """Directions, distances and heights in which reaching is tested."""
+    """Directions, distances and heights at which the reach of arms is tested."""
 
     hand_pitch_rad: float = -0.6
-    """Angle by which a robot's hand points below the horizon when it picks and places [rad]. It never changes, so an
-    object that was upright is upright again where it is placed."""
+    """Angle by which a robot's hand points below the horizon when it picks and places [rad]. The angle is constant, so
+    an object that was upright is upright again where it is placed."""
     all_directions: int = 6
-    """Number of joints that an arm needs for any position and orientation."""
+    """Number of joints that an arm needs to reach any position and orientation."""
     free_yaw_rad: float = 0.7
-    """Largest angle by which the hand of an arm with fewer joints may turn from the reach direction; more would reach around
-    things."""
+    """Largest angle by which the hand of an arm with fewer than `all_directions` joints may turn from the reach
+    direction [rad]; a larger one would reach around things."""
     bearings_rad: tuple[float, ...] = (0.0, -np.pi / 2, np.pi / 2, np.pi)
-    """Directions in which an arm is tried: ahead, right, left, behind."""
+    """Directions in which an arm is tried: ahead, right, left, behind [rad]."""
     distances_m: tuple[float, ...] = tuple(0.45 + 0.05 * k for k in range(15))
     """Distances from the robot's root at which reaching is tested [m]."""
     heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
@@ -40,23 +40,24 @@ class HandReachSpec:
     aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
     """Directions in which a robot takes handles that its base cannot turn to face, relative to its reaching direction [rad]."""
     reach_slack_m: float = 0.01
-    """Largest distance of a hand from its target, far above the tolerances of the search [m]."""
+    """Largest distance of a hand from its target at which the target counts as reached [m], far above the search's
+    tolerances."""
 
 
 HAND_REACH = HandReachSpec()
 
 
 class ReachPostures(NamedTuple):
-    """Postures for targets [*batch]."""
+    """Postures of a robot for targets [*batch]."""
 
     joint_pos: NDArray[np.float64]
-    """Positions of all joints of the robot, [*batch, J]."""
+    """Positions of all joints of the robot, [*batch, J] [rad or m]."""
     reached: NDArray[np.bool_]
     """True if the hand reaches its target, [*batch]."""
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
-    """Find postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
+    """Find postures for pose7 targets [*batch, 7] of the hand in the agent root frame, by `solve_ik`'s options."""
     if len(robot.require_arm()) >= HAND_REACH.all_directions:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
         return ReachPostures(answer.joint_pos, answer.reached)
@@ -68,10 +69,10 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:
-    """Return whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
+    """Return whether a pose7 [7] of the hand in the agent root frame is out of reach because it is too far away.
 
-    It is if it is farther from the shoulder than all links of the arm stretched out. `reach_posture` takes 2 ms to find
-    this out, because it tries every starting posture; learning policies ask all the time.
+    That is so if it is farther from the shoulder than the length of the stretched arm. `reach_posture` takes 2 ms to
+    find this out, because it tries every starting posture, and policies in training ask very often.
     """
     arm = _stretched_arm(robot)
     x, y, z = (quat_rotate(hand[3:], arm.wrist) + hand[:3] - arm.shoulder).tolist()
@@ -130,7 +131,7 @@ def _travel(robot: Robot, link: int) -> float:
 
 @lru_cache(maxsize=256)
 def hand_turn(robot: Robot) -> Array:
-    """Return the rotation (quaternion) of the hand's link in the agent root frame, for a target in its reach direction."""
+    """Return the rotation (quaternion) of the hand in the agent root frame for a target in the reach direction."""
     c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     # columns are the axes of the hand, ahead, left and up, in the agent root frame
@@ -139,10 +140,10 @@ def hand_turn(robot: Robot) -> Array:
 
 
 def reach_bearing(robot: Robot) -> float:
-    """Return the direction in which a robot reaches for things [rad], to the left of its forward axis.
+    """Return the direction in which a robot reaches for objects [rad], to the left of its forward axis.
 
-    It is the robot's own setting, otherwise the first of `HAND_REACH.bearings_rad` in which the arm reaches anything,
-    otherwise 0.
+    The direction is the robot's own setting, else the first of `HAND_REACH.bearings_rad` in which the arm reaches a
+    target, else 0.
     """
     return _found_bearing(robot) if robot.reach_bearing is None else robot.reach_bearing
 
@@ -166,8 +167,9 @@ def aimed(robot: Robot, aside_rad: float) -> Robot:
 def reach_distances(robot: Robot, height_m: float) -> Array:
     """Return the distances [D] [m] from the robot's root at which its hand reaches points ``height_m`` above the floor.
 
-    They lie along the robot's reach direction. A distance counts only if both its neighbours are reachable too, since a
-    base does not stand to the millimetre. Results are cached, as objects lie on few different heights.
+    The distances are measured along the robot's reach direction. A distance counts only if both its neighbours are
+    reachable too, since a base does not stop with millimetre precision. Results are cached, as objects lie on few
+    different heights.
     """
     distances = np.array(HAND_REACH.distances_m)
     targets = np.stack([hand_target(robot, d, height_m) for d in distances])
@@ -176,7 +178,7 @@ def reach_distances(robot: Robot, height_m: float) -> Array:
 
 
 def hand_target(robot: Robot, distance_m: float, height_m: float) -> Array:
-    """Return the pose7 of the hand, in the agent root frame, for a point at a distance in the reach direction."""
+    """Return the pose7 of the hand, in the agent root frame, for a point at a distance [m] in the reach direction."""
     bearing = reach_bearing(robot)
     x, z = (distance_m, 0.0) if bearing == 0 else (distance_m * np.cos(bearing), -distance_m * np.sin(bearing))
     return np.array([x, height_m, z, *hand_turn(robot)])

@@ -37,13 +37,13 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
 
 TRIED, TURN_M_RAD = 24, 1.0
-"""Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
+"""Number of nearest stands that are compared, and length of path that costs as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
-"""Distance beyond that of the folded arm's hand from the base's middle above which a base does not drive [m]."""
+"""Distance of the hand from the base's middle, beyond that of the folded arm, above which a base does not drive [m]."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
-    """Return a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
+    """Return a low-level command clipped to -1..1: base [2], arm [n], and grip [1].
 
     Raises:
         InputError: It has another length or is not finite, or the robot has no arm.
@@ -66,7 +66,7 @@ class RobotActor(RobotDriver):
     """Robot with an arm, and its skills."""
 
     learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
-    """Learned skills that replace the robot's own, by name."""
+    """Learned skills that replace the robot's scripted skills, by name."""
 
     def infeasible(self, action: Action) -> str:
         """Return the reason why an action is impossible now; empty if it is possible."""
@@ -97,7 +97,7 @@ class RobotActor(RobotDriver):
         return ""
 
     def start(self, action: Action) -> Skill:
-        """Begin a scripted or learned skill."""
+        """Start a scripted or learned skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -173,7 +173,7 @@ class RobotActor(RobotDriver):
 
     @property
     def resting_point(self) -> Array:
-        """Return the place of the hand at rest, in the world [3]."""
+        """Return the position of the hand at rest, in the world [3] [m]."""
         at = self._hand_in_root(self.robot.rest)
         return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 
@@ -208,7 +208,7 @@ class RobotActor(RobotDriver):
         return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=look_m))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
-        """Return stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
+        """Return stands ``(x, z, heading)`` [N, 3] within driving reach from which a hand reaches a world point [3]."""
         free, base = free or self.free, base or self.base
         known = free, base, island_of(free, self.xz), point.tobytes()
         if known not in self._stands:
@@ -216,7 +216,7 @@ class RobotActor(RobotDriver):
         return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """Return stands on the floor ``free``."""
+        """Return the stands on the floor ``free`` from which the hand reaches a world point [3]."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:

@@ -1,11 +1,11 @@
 """Recurrent network that scores the choices of an agent of rearrangement, stored in a file of plain arrays.
 
-``objects -> shared layer -> GRU(all objects, the rest) -> a score for each skill with each object, and for each choice without
-an object``. All objects go through the same weights, with their number as one of the inputs. So what is learned about one
-object holds for the other, and a policy can still prefer one of them. `h3data_training.populations.networks` is the same in
-PyTorch.
+``objects -> shared layer -> GRU(all objects, the rest) -> a score for each skill with each object, and for each choice
+without an object``. All objects go through the same weights, with their number as one of the inputs. So a policy
+generalizes from one object to another, and can still prefer one of them. `h3data_training.populations.networks`
+implements the same network in PyTorch.
 
-The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, nothing in it is executed.
+The file has the format of `sim_kinematic.policies.visual_policy`: arrays and a card. Nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ PIXELS = (
     "last_failed",
     "interrupted",
 )
-"""Observations of a chooser that sees, in this order: those of the paper's robot (section 4.2; objects and goals as in
-Habitat's configuration, at the places that the task gave them), and the result of its own last choice. How far the person is
-from each start and goal follows from what the paper's robot observes. The chooser does not observe what the person does or
-holds, where objects are now, which of them are at their goals, or any path."""
+"""Observations of a chooser with a camera, in this order: those of the paper's robot (section 4.2; objects and goals as
+in Habitat's configuration, at their initial places), and the result of its own last choice. The distance of the person
+from each start and goal follows from the observations of the paper's robot. The chooser does not observe what the
+person does or holds, where objects are now, which of them are at their goals, or any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
 """Observations that every chooser needs."""
 
@@ -92,12 +92,12 @@ def rest_count(agent: str) -> int:
 
 
 def numbers_of(observations: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of observations that are no pictures."""
+    """Return the names of observations that are not pictures."""
     return tuple(name for name in observations if name not in PICTURES)
 
 
 def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> tuple[int, int]:
-    """Return lengths of the inputs of one object, without its number, and of the rest, without features of a picture."""
+    """Return the lengths of two inputs: of one object without its number, and of the rest without picture features."""
     observations = numbers_of(observations)
     encodings = [OF_CHOICES[name] for name in observations if name in OF_CHOICES]
     of_object = sum(e.length for e in encodings if e.times == "objects")
@@ -145,7 +145,7 @@ def encoded(
 
 
 def hides(name: str, observations: tuple[str, ...]) -> bool:
-    """Return whether inputs of an observation are 0 for what the other agent holds."""
+    """Return whether the inputs of an observation are set to 0 for objects that the other agent holds."""
     # observations that tell where objects are. An object in the other agent's hand would tell where that agent
     # is, so a chooser without the GPS gets zeros for it.
     places = ("obj_gps_compass", "way_to_objects", "path_ahead")
@@ -156,9 +156,9 @@ def hides(name: str, observations: tuple[str, ...]) -> bool:
 class SkillPolicyNetwork(CardedNetwork):
     """Network that scores the choices of an agent of rearrangement.
 
-    Its arrays are weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of ``gru``
-    [3 H, ...], and ``persist`` [1], which is added to the score of the choice that was interrupted. A network that sees has
-    those of `sim_kinematic.policies.visual_policy.picture_shapes` too.
+    Its arrays are weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of
+    ``gru`` [3 H, ...], and ``persist`` [1], which is added to the score of the choice that was interrupted. A network
+    with a camera also has the arrays of `sim_kinematic.policies.visual_policy.picture_shapes`.
     """
 
     kind: ClassVar[str] = KIND
@@ -195,10 +195,10 @@ class SkillPolicyNetwork(CardedNetwork):
     def __call__(
         self, each: Array, rest: Array, state: Array, shown: Mapping[str, NDArray[Any]] | None = None
     ) -> tuple[Array, Array]:
-        """Return scores of all choices and the next state [H], for inputs of `encoded` and the state [H].
+        """Return the scores of all choices and the next state [H], given inputs from `encoded` and the state [H].
 
         Raises:
-            InputError: the picture that a network sees is not among the observations ``shown``, or has another size.
+            InputError: the picture that the network needs is missing in ``shown``, or has another size.
         """
         count = len(each)
         if self.sees:
@@ -216,7 +216,7 @@ class SkillPolicyNetwork(CardedNetwork):
 
 
 def shapes(card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return shapes of all arrays by name, with the widths that the given ones have."""
+    """Return the shapes of all arrays by name; widths are those of the given arrays."""
     of_object, rest = input_lengths(card.agent, card.observations)
     found, features = picture_shapes(card, arrays)
     rest += features

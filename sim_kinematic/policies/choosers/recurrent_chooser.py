@@ -1,4 +1,4 @@
-"""Policy that plays a `SkillPolicyNetwork`: allowed actions, times of choices, and sampling."""
+"""Policy that plays a `SkillPolicyNetwork`, with allowed actions, times of choices, and sampling."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.policies.visual_policy import PolicyCard
 
 ALERT_M, ALERT_STEPS = 4.0, 5
-"""Distance of the other agent below which a policy chooses again during a walk [m], and the number of steps between
-these choices. At 2.5 m/s each, two agents that are 4 m apart meet after 0.8 s."""
+"""Distance of the other agent below which a policy chooses again during a walk [m], and number of steps between these
+choices. At 2.5 m/s each, two agents that are 4 m apart meet after 0.8 s."""
 
 
 class RecurrentSkillPolicy:
@@ -31,7 +31,7 @@ class RecurrentSkillPolicy:
 
     While the agent walks or drives, the network is evaluated every second, six times a second while the other agent is
     within 4 m, and at once when the other has taken the object it is heading for. The agent continues if the same
-    action is sampled. A policy that sees does not know what the other has taken, and is not interrupted then.
+    action is sampled. A policy with a camera does not know what the other has taken, and is not interrupted then.
     """
 
     def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
@@ -61,7 +61,7 @@ class RecurrentSkillPolicy:
         """Observations of the last decision."""
         self._thought, self._times = 0, 0
         self._placed = np.zeros(objects, np.bool_)
-        """Which objects this agent has itself brought to their goals, [K]."""
+        """True for each object that this agent itself has brought to its goal, [K]."""
 
     def require_body(self, body: str) -> None:
         """Check that the robot is the one that the network was trained with.
@@ -118,7 +118,7 @@ class RecurrentSkillPolicy:
 
 
 def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.float32]]:
-    """Return the observations of a chooser by name: numbers [n], and those of its camera.
+    """Return the observations of a chooser by name: numbers [n], and pictures of its camera.
 
     Raises:
         InputError: The network observes pictures, and the view takes none.
@@ -133,13 +133,13 @@ def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.floa
 def allowed(
     view: RearrangeView, known: Sequence[Action], *, placed: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which actions are useful in a state, [C].
+    """Return which actions are useful in a state, as bool [C].
 
     With an empty hand these are the actions on objects that lie about and are not at their goals; with an object in
     hand, those that bring it to its goal. Where the agent has just arrived, it may pick or place but not navigate
-    again; it may always continue the action that it has begun, or take one without an object. An agent that sees, with
-    ``placed`` [K], knows its own hand and which objects it has itself brought to their goals. Of all others it cannot tell
-    whether they lie about.
+    again; it may always continue the action that it has begun, or take one without an object. An agent with a camera,
+    for which ``placed`` [K] is given, knows only its own hand and the objects that it has itself brought to their
+    goals. It does not know whether the others are free to take.
     """
     held, empty = view.held_by, not (view.held_by == view.agent).any()
     free = (held == NOBODY) & ~view.at_goal if placed is None else (held != view.agent) & ~placed

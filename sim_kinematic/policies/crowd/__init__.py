@@ -1,1 +1,1 @@
-"""Policies of the people of crowds, who move together."""
+"""Policies of people in crowds, who move together."""

@@ -1,4 +1,4 @@
-"""The crowds of one world, which the policies of their people share."""
+"""Crowds of one world, which the policies of their people share."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class CrowdMember:
     version: int = VERSION
     """Version of the rules of the crowd."""
     hands: HandWork | None = None
-    """Work of the person's hands; None: they handle nothing."""
+    """State of the person's hands; None: they handle nothing."""
 
 
 class Moment(NamedTuple):
-    """Places of all agents of W worlds."""
+    """Places of all agents of W worlds, now and one step ago."""
 
     xz: Array
     """Present positions [W, A, 2] [m]."""
@@ -57,7 +57,7 @@ class Moment(NamedTuple):
     before: Array
     """Places of all people and discs one step ago [W, P + D, 2] [m]."""
     radii: Array
-    """Radii of these discs, and of people with other policies than those of crowds [P + D] [m]."""
+    """Radii of the discs of robots, and of people whose policies are not those of crowds [P + D] [m]."""
     robots: Array
     """Places and headings of robots (x, z, heading) [W, R, 3]."""
 
@@ -80,13 +80,14 @@ class Moment(NamedTuple):
 
 
 class Crowds:
-    """Crowds of one world, one for each model that people follow.
+    """Crowds of one world, with one crowd for each model that people follow.
 
-    People join in their first step, in which they stand still. From the next step on, the first person who is asked moves all.
+    People join in their first step, in which they stand still. From the next step on, the first person whose place is
+    requested causes all people to move.
     """
 
     def __init__(self, world: World, row: int, moment: Callable[[], Moment]) -> None:
-        """Create crowds without people for world number ``row``; ``moment`` says where everybody is."""
+        """Create crowds without people for world number ``row``; ``moment`` returns the places of all agents."""
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
@@ -94,7 +95,7 @@ class Crowds:
         """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these."""
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
-        """Stations that people have."""
+        """Stations in use, by the person who uses them."""
         self.new_events: list[Event] = []
         """Reactions to robots and activities that people of the crowds began in the last step."""
 

@@ -36,7 +36,7 @@ class CrowdPolicy:
         role: Role = ALONE,
         routine: Agenda | None = None,
     ) -> None:
-        """Make agent ``number`` of the episode with a seed, with the traits that they have in it.
+        """Create the policy of agent ``number`` in the episode with a seed, which determines the person's traits.
 
         A person with a routine follows it; others walk from one random goal to another.
         """
@@ -57,7 +57,7 @@ class CrowdPolicy:
 
     @property
     def hands(self) -> HandWork | None:
-        """Work of the person's hands; None: they handle nothing."""
+        """State of the person's hands; None: they handle nothing."""
         return self.member.hands
 
     @property
@@ -74,7 +74,7 @@ class CrowdPolicy:
         return crowds.move(self.member, agent, step)
 
     def repeat(self, facts: Any) -> None:
-        """Decide by the version of a recording's ``facts`` about the person; by the first one if they name none."""
+        """Decide by the version of the rules that a recording's ``facts`` name; by the first if they name none."""
         version = facts.get("version") if isinstance(facts, dict) else None
         self.member = replace(self.member, version=version if isinstance(version, int) else 1)
 

@@ -1,1 +1,1 @@
-"""Networks of policies that PyTorch evaluates."""
+"""Networks of policies that are evaluated by PyTorch."""

@@ -28,7 +28,7 @@ from sim_kinematic.policies.visual_policy import (
 )
 
 GROUPS = 16
-"""Number of groups of a normalisation layer; planes come in multiples of it."""
+"""Number of groups of a normalisation layer; numbers of planes are multiples of it."""
 LAYERS = 2
 
 
@@ -101,7 +101,7 @@ class ResNet18(nn.Module):
 
 
 class ResNetLSTM(nn.Module):
-    """Network of the actor. Its state [n, S] is that of all layers of the LSTM, one after the other."""
+    """Network of the actor, whose state [n, S] has the states of all LSTM layers, one after the other."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class ResNetLSTM(nn.Module):
         features: int = 512,
         hidden: int = 512,
     ) -> None:
-        """Make a network for ``numbers`` and pictures of a ``size`` (width, height) with ``given`` planes, or without any."""
+        """Create a network for ``numbers`` and for pictures of a ``size`` (width, height) [pixels]or without them."""
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
@@ -131,14 +131,14 @@ class ResNetLSTM(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the recurrent layers' output for features [T, n, F]: after each step [T, n, H], and the last state [n, S]."""
+        """Return the recurrent layers' outputs [T, n, H] for features [T, n, F], and the last state [n, S]."""
         # a state holds the h of all layers, then their c, and LSTM takes them layer by layer
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)
 
     def take(self, arrays: Mapping[str, Any]) -> None:
-        """Replace all weights by arrays or tensors by name."""
+        """Replace all weights with arrays or tensors, by name."""
         with torch.no_grad():
             for name, tensor in self.named_parameters():
                 tensor.copy_(torch.as_tensor(arrays[name]))
@@ -154,7 +154,7 @@ def pixels_of(picture: Tensor) -> Tensor:
 
 
 class ResNetPolicy(VisualPolicy):
-    """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
+    """Policy in a file whose card names the ResNet-LSTM network, evaluated by PyTorch in one thread."""
 
     kind = "resnet18_lstm"
 
@@ -163,7 +163,7 @@ class ResNetPolicy(VisualPolicy):
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Array, state: Array) -> tuple[Array, Array]:
-        """Return the action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
+        """Return the action [n] and next state [H] for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = (
             pixels_of(torch.as_tensor(np.ascontiguousarray(picture_of(self.card, shown)))[None]) if self.sees else None
@@ -182,7 +182,7 @@ class ResNetPolicy(VisualPolicy):
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-        """Return shapes of all weights by name, for the sizes in a card."""
+        """Return the shapes of all weights by name, for the sizes in a card."""
         # on the device "meta" a network has shapes and no numbers, so a card with huge sizes costs no memory
         with torch.device("meta"):
             net = _net(card, arrays)
@@ -190,7 +190,7 @@ class ResNetPolicy(VisualPolicy):
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """Return the sizes of pictures that the network supports, if this is none of them; otherwise empty."""
+        """Return a text with the supported sizes of pictures if ``size`` is not one of them; otherwise empty."""
         return "" if all(8 <= side <= 1024 for side in size) else "sides of 8 to 1024"
 
 
@@ -216,7 +216,7 @@ def _net(card: PolicyCard, arrays: Mapping[str, Array]) -> ResNetLSTM:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let PyTorch use one thread, so that sums have one order and no threads wait for each other."""
+    """Limit PyTorch to one thread, so that sums have a fixed order and no threads wait for each other."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

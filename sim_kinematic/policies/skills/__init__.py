@@ -1,1 +1,1 @@
-"""Learned skills of robots: their observations, their execution, and their names."""
+"""Learned skills of robots, with their observations, their execution and their names."""

@@ -1,4 +1,4 @@
-"""Names of learned skills and their meaning: files of weights, folders of them, and those included in the package."""
+"""Names of learned skills and the weights that they refer to: files, folders of files, and those in the package."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
-"""Name of the three skills that are included in the package."""
+"""Name of the three learned skills that are included in the package."""
 SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
 def recorded_skills(skills: str) -> str:
-    """Return the names of learned skills as recordings hold them.
+    """Return the names of learned skills as recordings store them.
 
-    They are files of weights with the digests of their contents, separated by commas; or ``learned@`` and one digest of
-    all three for the skills that ship with the package.
+    The names are files of weights with the digests of their contents, separated by commas. For the included skills the
+    name is ``learned@`` and one digest of all three.
 
     Args:
         skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files separated
@@ -67,10 +67,10 @@ def _shipped_digest() -> str:
 
 
 def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
-    """Return the learned skills of some names, by the skills of the upper layer.
+    """Return the learned skills that some names stand for, by the name of the upper layer's skill.
 
     Raises:
-        InputError: As `recorded_skills`.
+        InputError: A file does not exist, has no skill, or two files are for the same skill.
         FormatError: A file is for another robot.
     """
     if not skills:

@@ -1,4 +1,4 @@
-"""Observations of a learned skill on the CPU; `h3data_training.torch.skills.worlds` computes the same on a device."""
+"""Observations of a learned skill on the CPU, equal to those of `h3data_training.torch.skills.worlds` on a device."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from sim_kinematic.sensing.table import TABLE, Pose
 
 
 class SkillView(NamedTuple):
-    """State of a robot that moves to an object or its goal, or handles it."""
+    """State of a robot that carries out a learned skill with an object."""
 
     free: FreeSpace
     """Floor on which the robot's base moves."""
     xz: Array
-    """Place of the base [2] [m]."""
+    """Position of the base on the floor [2] [m]."""
     heading: float
     before: tuple[Array, float]
-    """Pose of the base one step ago."""
+    """Position [2] [m] and heading [rad] of the base one step ago."""
     point: Array
-    """Point at which the object lies or is to go, [3] [m]."""
+    """Point at which the object lies or has to be placed, [3] [m]."""
     stand_xz: Array
-    """Place from which the hand reaches the target, [2] [m]."""
+    """Position of the base from which the hand reaches the target, [2] [m]."""
     hand: Array
-    """Pose (pose7) of the hand in the world."""
+    """Pose (pose7) of the hand in the world, [7]."""
     resting: Array
-    """Place of the hand at rest, [3] [m]."""
+    """Position of the hand at rest in the world, [3] [m]."""
     arm: Array
-    """Positions of the arm's joints [n]."""
+    """Positions of the arm's joints, [n] [rad or m]."""
     holds: bool
-    """True if the hand holds something."""
+    """True if the hand holds an object."""
     beyond_m: float
-    """Distance within which waypoints are skipped [m]."""
+    """Distance from the base within which waypoints are skipped [m]."""
 
     @property
     def path_m(self) -> float:
-        """Length of the shortest path to the stand [m]."""
+        """Length of the shortest path from the base to the stand [m]."""
         return float(self.free.geodesic(self.xz, self.stand_xz, max_snap_m=1.0))
 
 
 class SkillContext:
-    """View of a skill as a `sim_kinematic.sensing.table.Context` of one world, whose path leads to the stand."""
+    """View of a skill as a `sim_kinematic.sensing.table.Context` of one world, in which the path leads to the stand."""
 
     xp = np
     agent = ROBOT
@@ -69,11 +69,11 @@ class SkillContext:
         return self._view.free.signed_distance(points)
 
     def in_hand(self, points: Array) -> Array:
-        """Return world points [n, 3] in the frame of the hand."""
+        """Return world points [n, 3] [m] in the frame of the hand."""
         return in_frame(self._view.hand, points)
 
 
 def observe(view: SkillView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
-    """Return the named observations, some of `sim_kinematic.sensing.table.OF_SKILLS`, float32."""
+    """Return the named observations, some of `sim_kinematic.sensing.table.OF_SKILLS`, each float32 [n]."""
     moment = SkillContext(view)
     return {name: np.asarray(TABLE[name].of(moment), np.float32) for name in names}

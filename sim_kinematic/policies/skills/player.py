@@ -18,7 +18,7 @@ from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
 from sim_kinematic.sensing.table import OF_SKILLS
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
-"""Skills of the upper layer that a policy file provides, by the task on its card."""
+"""Skills of the upper layer that a policy file provides, by the name of the task on its card."""
 PICTURE = "arm_depth"
 
 
@@ -67,7 +67,7 @@ class NetworkSkill:
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:
-        """Return the reason why the skill cannot begin; empty if it can."""
+        """Return the reason why the skill cannot start; empty if it can."""
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
@@ -75,7 +75,7 @@ class NetworkSkill:
         return "out_of_reach" if float(np.hypot(*gap)) > 6.0 else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
-        """Begin the skill: the network is evaluated in each step until the skill succeeds or fails."""
+        """Start the skill, in which the network is evaluated in each step until the skill succeeds or fails."""
         point = self._point(actor, action)
         stand = actor.open_stand(point)
         if stand is None:
@@ -83,7 +83,7 @@ class NetworkSkill:
         return (yield from self.play(actor, action, point, stand[:2]))
 
     def play(self, actor: RobotActor, action: Action, point: Array, stand_xz: Array) -> Skill:
-        """Move a robot to a point [3] that is reached from a place [2]."""
+        """Move a robot by the network to handle a point [3] that is reached from a place [2]."""
         network, moves_arm = self.network, self.network.card.task != "skill_nav"
         state, command = network.start(), np.zeros(network.outputs, np.float32)
         before = actor.xz.copy(), actor.heading

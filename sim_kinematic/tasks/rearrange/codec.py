@@ -1,6 +1,6 @@
-"""Conversion of rearrangement episodes from and to JSON, in recordings, in our files and in Habitat's.
+"""Conversion of rearrangement episodes to and from JSON, in recordings, in h3data's files and in Habitat's files.
 
-Where Habitat's files leave starts open, they are sampled here.
+Starts that are missing in Habitat's files are sampled.
 """
 
 from __future__ import annotations
@@ -72,13 +72,13 @@ from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 
 
 class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
-    """Writes starts, objects and goals; the starts of further agents follow from the seed."""
+    """Codec of episodes with starts, objects and goals; the starts of further agents follow from the seed."""
 
     records_judgement: ClassVar[bool] = False
     samples_starts: ClassVar[bool] = True
 
     def record(self, episode: Episode) -> StoredRearrangement:
-        """Return the record of an episode: goals, starts of the first robot and person, objects, rules and scene."""
+        """Return the record of an episode: goals, starts of the first robot and person, objects, rules, and scene."""
         assert isinstance(episode, RearrangeEpisode)
         robot, human = episode.pair_starts.places.tolist()
         record = StoredRearrangement(
@@ -110,9 +110,9 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredRearrangement | None:
-        """Return the record in an entry of a file, or None if it is of another task.
+        """Return the record in an entry of a file, or None if the entry belongs to another task.
 
-        An incomplete record gets the seed from which the rest is sampled.
+        An incomplete record gets the seed, from which the rest is sampled.
         """
         record = read_rearrangement(entry)
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
@@ -122,7 +122,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
-        """Return the rules in a record; without any, the default rules for its number of objects.
+        """Return the rules in a record, or the default rules for its number of objects if it has none.
 
         Raises:
             InputError: the rules and the goals disagree about the number of objects.
@@ -138,7 +138,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
-        """Return the names of object assets that are not installed, in whose place boxes are used."""
+        """Return a sentence for each object asset that is not installed and is replaced by a box."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         return tuple(episode_files().stand_ins(source, record.objects, record.object_paths))
@@ -248,7 +248,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         """Return the episode of a recording, from the rules, starts and goals in its info.
 
         Raises:
-            InputError: the recording lacks one of them.
+            InputError: the recording lacks rules, starts or goals.
         """
         info, agents = recording.episode.info, recording.agents
         require_info(recording, "spec", "goals")
@@ -337,19 +337,19 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return uid_of(what)
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return why the episode ended, and ``solo_steps``: the paper's ``L_human``, on which relative efficiency is based."""
+        """Return the reason for the episode's end, and ``solo_steps``, which is ``L_human`` in the paper."""
         assert isinstance(episode, RearrangeEpisode)
         # one agent with this plan has just played the reference itself
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step if alone else solo_steps_of(self.task, episode)}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Return the number of steps in which the first person alone would finish, for relative metrics."""
+        """Return the number of steps in which the first person alone would finish, which relative metrics need."""
         assert isinstance(episode, RearrangeEpisode)
         return {"solo_steps": solo_steps_of(self.task, episode)}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Take over the solo steps of a recording, or those that another process has computed."""
+        """Take over the solo steps that were recorded or that another process has computed."""
         assert isinstance(episode, RearrangeEpisode)
         if facts.get("solo_steps") is not None:
             keep_solo_steps(episode, int(facts["solo_steps"]))
@@ -365,10 +365,10 @@ def sampled_starts(
 ) -> Starts:
     """Sample starts for goals that a file gives.
 
-    They are starts from which a person alone can do the work in time, or else the best of those tried.
+    From these starts a person alone can finish in time; if no such starts are found, the best ones tried are returned.
 
     Raises:
-        SceneError: the scene has no two starts so far apart.
+        SceneError: the scene has no two starts that are far enough apart.
     """
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     robot, human = load_robot(pair[0]), load_humanoid(pair[1])
@@ -402,10 +402,10 @@ def placed(
     placements: Sequence[Placement],
     pair: tuple[str, str],
 ) -> tuple[Target, ...]:
-    """Return goals for objects that may come to lie anywhere on some pieces of furniture: free spots that both agents reach.
+    """Return goals for objects that may be put anywhere on some furniture: free spots that both agents reach.
 
     Raises:
-        SceneError: the furniture has none.
+        SceneError: the furniture has no such spot.
     """
     things = {i.name: i for i in scene.instances}
     named = {p.object for p in placements}
@@ -445,7 +445,7 @@ def placed(
 
 
 def goal_record(target: Target) -> StoredGoal:
-    """Return a target as files and recordings keep it."""
+    """Return a target in the form of files and recordings."""
     return StoredGoal(
         object=target.name,
         start=target.start.tolist(),
@@ -458,7 +458,7 @@ def goal_record(target: Target) -> StoredGoal:
 def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
     """Return the target of a record.
 
-    ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses.
+    ``origin`` [3] [m] is the object's center of mass in the asset's axes, to which the poses in the record refer.
     """
     start, position = np.array(goal.start, np.float64), np.array(goal.position, np.float64)
     # Habitat's poses are those of the center of mass, ours those of the asset's origin
@@ -469,7 +469,7 @@ def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
 
 
 def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
-    """Return the rules as JSON types; an infinitely fast arm has null as its speed."""
+    """Return the rules as JSON types, with null for the speed of an infinitely fast arm."""
     rules = rules_dict(spec)
     if rules.get("observe") == "full":  # as in recordings from before there was a choice
         del rules["observe"]
@@ -480,7 +480,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
 
 
 def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
-    """Return the rules that `rules_to_json` wrote; what they do not name is as in the paper.
+    """Return the rules from JSON types, where rules that are not named are those of the paper.
 
     Raises:
         InputError: the rules are not rules of rearrangement.
@@ -494,9 +494,10 @@ def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = Rearra
 
 # --- in words -----------------------------------------------------------------------------------------------------------
 def spoken(name: str) -> str:
-    """Return the kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
+    """Return the kind of thing that a name refers to: ``tv_stand_0|top_left`` is a "tv stand".
 
-    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
+    ``name`` is that of an instance or receptacle. Habitat's names have numbers at both ends and colons
+    (``003_cracker_box_:0000``), or are hashes, which contain no words.
     """
     instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
     # with at least one digit: a long word may consist of the letters a to f

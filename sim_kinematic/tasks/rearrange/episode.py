@@ -2,9 +2,8 @@
 
 The rules follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.1, 2.2).
 
-Everything follows from the seed. An episode is sampled again until both a robot and a person can reach every object and
-every goal, and a person alone could do the work in time. Whatever policies play it, it is therefore the same episode,
-and it can be solved.
+The seed determines the episode. Sampling is repeated until both the robot and the person can reach every object and
+every goal, and a person alone could finish in time. So the episode is the same for all policies, and it can be solved.
 """
 
 from __future__ import annotations
@@ -53,21 +52,21 @@ from sim_kinematic.tasks.episode import Episode, Starts, sample_pair_starts
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
 PAIR = ("robot", "human")
-"""The paper's agents."""
+"""Bodies of the paper's two agents."""
 ATTEMPTS, THOROUGH_ATTEMPTS, REDRAW = 200, 150, 10
-"""Number of attempts that try one spot on a surface, then of those that try `SPOTS` of them, as free spots may be rare; after
-every `REDRAW` of them the starts are sampled anew as well."""
+"""Number of attempts that try one spot on a surface; number of further attempts that try `SPOTS` spots, since free
+spots may be rare; and number of attempts after which the starts are sampled again."""
 SPOTS, SPOT_ATTEMPTS = 20, 20
-"""Number of spots on a surface that a thorough attempt tries, and of rounds over at most twelve surfaces."""
+"""Number of spots on a surface that a thorough attempt tries, and number of rounds over at most twelve surfaces."""
 STANDS_WITHIN_M, LIFT_M, OPENING_S = 1.0, 0.001, 9.0
-"""Distance within which a person stands from what they take or put down [m]; height by which things float over their surface,
-so that a collision check does not call them stuck in it [m]; estimated time to open one door or drawer [s]."""
+"""Largest distance of a person from the object that they take or put down [m]; height by which objects float above
+their surface so that a collision test finds no overlap [m]; and estimated time to open one door or drawer [s]."""
 HANDLING_S = 4.5
 """Estimated time that a person needs for one object, besides walking and turning [s]."""
 SNAP_M = 2.0
-"""The floor is at most this far from the middle of a surface."""
+"""Largest distance of the floor from the middle of a surface [m]."""
 SPARE = 0.98
-"""Share of the longest duration within which the estimated duration of the work must stay, whichever object comes first."""
+"""Share of the longest duration within which the estimated duration of the work must stay, for any order of objects."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,25 +74,27 @@ class RearrangeSpec:
     """Rules of social rearrangement."""
 
     max_steps: int = 1500
-    """The paper has 750 for people at 2.5 m/s; ours walk at 1.3 m/s."""
+    """Largest number of steps of an episode; the paper has 750 for people at 2.5 m/s, and natural people walk at 1.3
+    m/s."""
     objects: int = 2
     at_goal_m: float = 0.3
-    """An object this near to its goal in space is at it (``object_at``)."""
+    """Distance from its goal within which an object is at its goal (Habitat's ``object_at``) [m]."""
     # Habitat's grasp_thresh_dist, and the paper's
     grip_m: float = 0.15
     """Largest distance from a robot's hand to the object that it takes [m]."""
     spawn_distance_m: float = 5.0
     carry_m: float = 2.0
-    """Least distance on the floor from an object to its goal."""
+    """Least distance on the floor from an object to its goal [m]."""
     open_m: float = 0.35
-    """Free height that makes a receptacle an open one."""
+    """Free height above a receptacle from which on it counts as open [m]."""
     object_radius_m: float = 0.12
-    """Things with a larger circumscribed circle on the floor plane stay where they are."""
+    """Radius of an object's circumscribed circle on the floor plane above which it is not moved [m]."""
     # Habitat's agents_within_threshold; the paper's text has a single distance of 1.5 m
     near_m: tuple[float, float] = (2.0, 1.5)
-    """Half axes, ahead and aside, of the ellipse in which the other agent may interrupt a skill."""
+    """Half axes, ahead and aside, of the ellipse in which another agent may interrupt a skill [m]."""
     arm_rad_s: float = 8.0
-    """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
+    """Speed of the robot's arm joints [rad/s]; if infinite, objects are in the hand at once, as with Habitat's oracle
+    skills."""
     end_on_collision: bool = True
     reward: str = "paper"
     """Reward profile, a name in `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
@@ -106,24 +107,26 @@ class RearrangeSpec:
         "paper": {**RULE_SETS["paper"], "max_steps": 750, "people_give_way": False},
     }
     people_give_way: bool | None = field(default=None, repr=False)
-    """True if a person heeds the one robot that they are with, as all agents heed each other where there are more. By default
-    with every base but Habitat's, whose planners heed nobody. Left out of ``repr``, from which episodes have their identity."""
+    """True if a person who is alone with one robot gives way to it, as all agents do where there are more. By default
+    this holds for every base except Habitat's, whose planners give way to nobody. The field is left out of ``repr``,
+    from which the identity of episodes is derived."""
 
     solid_agents: bool = field(default=False, repr=False)
-    """The same as in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
+    """True if a person under commands slides along the discs of others as along walls, and also gives way to a single
+    robot."""
     floor_moves: bool = field(default=False, repr=False)
-    """True if what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
-    something opens; episodes from before 0.3 do not have the rule."""
+    """True if doors and drawers change the free floor when they open and close. This holds for all episodes that are
+    sampled in homes with such parts; episodes from before version 0.3 do not have the rule."""
     oracle: OracleSpec | None = field(default=None, repr=False)
-    """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
+    """Rules of simplified skills like Habitat's oracle skills (see `ORACLE_RULES`); None for full skills."""
     observe: str = field(default="full", repr=False)
-    """``full``: policies know where all things are; ``seen``: only of those that the agent itself has seen
-    (`sim_kinematic.sensing.sight`)."""
+    """Knowledge of policies. With ``full``, they know where all objects are; with ``seen``, only where those are that
+    the agent itself has seen (`sim_kinematic.sensing.sight`)."""
     parts: int = field(default=0, repr=False)
-    """Number of doors and drawers that agents may choose to open by number; which ones says `Rearrange.parts_of`."""
+    """Number of doors and drawers that agents may choose to open by number, which are those of `Rearrange.parts_of`."""
     skills: str = field(default="", repr=False)
-    """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
-    name know all."""
+    """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Other skills are
+    scripted and use the whole state."""
 
     def __repr__(self) -> str:
         # uids of episodes are made of it: those from before there were oracle skills stay as they were
@@ -152,7 +155,7 @@ class RearrangeSpec:
 ORACLE_RULES = RearrangeSpec(
     max_steps=750, robot=BaseSpec(), human=WalkerSpec(), arm_rad_s=math.inf, people_give_way=False, oracle=OracleSpec()
 )
-"""Rules for the paper's robot and person with oracle skills, as `h3data.make("rearrange", device=...)` plays them."""
+"""Rules for the paper's robot and person with oracle skills, which ``h3data.make("rearrange", device=...)`` uses."""
 
 
 def with_oracle_skills(spec: Any) -> Any:
@@ -164,46 +167,47 @@ def with_oracle_skills(spec: Any) -> Any:
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
     """Return the rules of an episode that is sampled in a home.
 
-    Its floor moves if something in the home opens and agents have full skills.
+    The floor of the episode changes (`RearrangeSpec.floor_moves`) if the home has doors or drawers and agents have full
+    skills.
     """
     return replace(spec, floor_moves=bool(scene.articulations) and spec.oracle is None)
 
 
 class Target(NamedTuple):
-    """Object with its start and its goal."""
+    """Object of the task, with its start and its goal."""
 
     name: str
     """Name of the object's instance in the scene."""
     start: Array
-    """Pose (pose7) in the world at the beginning."""
+    """Pose (pose7) of the object in the world at the start of the episode, [7]."""
     goal: Array
     """Goal position of the object's origin, shape [3] [m]."""
     source: str
-    """Receptacle on which the object lies, ``instance|receptacle``."""
+    """Receptacle on which the object lies at the start, ``instance|receptacle``."""
     destination: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RearrangeEpisode(Episode):
-    """An episode with objects to bring to their goals."""
+    """Episode with objects to bring to their goals."""
 
     targets: tuple[Target, ...]
     pair: tuple[str, str]
-    """Bodies of the robot and the person for whom the episode was sampled; others may play it."""
+    """Bodies of the robot and the person for whom the episode was sampled, which other agents may play as well."""
     pair_starts: Starts
     """Starts of the robot and the person for whom the episode was sampled."""
     added: tuple[EpisodeObject, ...] = ()
-    """Objects of ``scene`` that the file of the episode added to it."""
+    """Objects of ``scene`` that the episode's file added to it."""
     object_paths: tuple[str, ...] = ()
-    """Folders with the templates of the objects."""
+    """Folders that contain the templates of the objects."""
     wording: str = ""
-    """The instruction in the file of the episode; empty: it follows from the targets."""
+    """Instruction in the episode's file; if empty, it is made from the targets."""
     is_sampled: bool = True
-    """True if the episode follows from its seed and the rules; else its identity includes starts and targets."""
+    """True if the seed and the rules determine the episode; otherwise its identity includes starts and targets."""
 
     @property
     def moving(self) -> dict[str, Array]:
-        """The objects at their starts."""
+        """Objects of the task by name, with their poses (pose7) [7] at the start."""
         return {target.name: target.start for target in self.targets}
 
     @property
@@ -236,7 +240,7 @@ def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
 
 
 def body_indices(episode: RearrangeEpisode) -> list[int]:
-    """Return the index in the recording's bodies of each object of the task."""
+    """Return the index of each object of the task among the recording's bodies."""
     names = [i.name for i in episode.scene.instances]
     return [names.index(target.name) for target in episode.targets]
 
@@ -244,7 +248,7 @@ def body_indices(episode: RearrangeEpisode) -> list[int]:
 def starts_of(
     scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[AgentSpec]
 ) -> Array:
-    """Return the sampled starts of the first robot and the first person, and places for the others."""
+    """Return the sampled starts of the first robot and the first person, and starts for all other agents."""
     kinds = kinds_of(cast)
     taken: dict[int, Array] = {}
     if "robot" in kinds:
@@ -321,7 +325,7 @@ def seconds_alone(
     starts: Starts,
     targets: tuple[Target, ...],
 ) -> float:
-    """Estimate the time that a person alone takes for all objects [s]; infinite where an object or goal is out of reach."""
+    """Estimate the time that a person alone needs for all objects [s]; infinite if one of them is out of reach."""
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
     return draw.seconds_alone(starts, targets)
@@ -338,11 +342,11 @@ def free_spot(
     thing: Instance,
     taken: list[tuple[Array, float]],
 ) -> tuple[Array, str] | None:
-    """Return a free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle.
+    """Return a free spot [3] for an object on one of some surfaces that both agents reach, and its receptacle.
 
-    The result is None if there is none.
+    The result is None if there is no such spot.
 
-    ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
+    ``taken`` lists the positions [3] and radii [m] of other objects, to which the spot is added.
     """
     doorways = RoomDoors.of(scene, free)
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
@@ -376,7 +380,7 @@ class _EpisodeSampler:
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
     doorways: RoomDoors
-    """Doors between the rooms of the home; ``scene`` and ``free`` have all of them open."""
+    """Doors between the rooms of the home, all of which are open in ``scene`` and ``free``."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
@@ -392,7 +396,7 @@ class _EpisodeSampler:
         *,
         spots: int,
     ) -> tuple[Target, ...] | None:
-        """Return a start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
+        """Return a start and a goal for each chosen object, each within ``within_m`` [m] of the previous place.
 
         Returns None if ``spots`` tries on each surface give no such places, or if a path that visits all of them is
         certainly longer than ``longest_m``.
@@ -534,7 +538,7 @@ class _EpisodeSampler:
         return (stands[k], length) if k >= 0 else (None, length)
 
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
-        """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
+        """Estimate the time that a person alone needs for all objects in turn [s]; infinite if there is no path."""
         here, heading = starts.human_xz, starts.human_heading
         # a set of doors: one that has been opened stays open on later legs
         way, turned, opened, walker, doors = 0.0, 0.0, 0, self.spec.human, set[int]()

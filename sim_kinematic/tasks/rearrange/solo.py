@@ -1,4 +1,4 @@
-"""Steps that one person alone takes, the reference for the efficiency of several agents."""
+"""Number of steps that one person alone takes, as the reference for the efficiency of several agents."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _SOLO_STEPS = "_solo_steps"
 
 
 def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
-    """Return the number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
+    """Return the number of steps in which one person alone brings all objects to their goals (paper: ``L_human``).
 
-    It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
-    people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
+    The number is at most ``max_steps``. It is computed by simulating the first person, or the first robot if there are
+    no people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
     """
     # beside the fields of the frozen episode: replace() leaves it out, so other agents count anew
     if _SOLO_STEPS not in vars(episode):
@@ -40,5 +40,5 @@ def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
 
 
 def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:
-    """Have `solo_steps_of` answer a number that is known already."""
+    """Store a known number of steps for `solo_steps_of` to return."""
     vars(episode)[_SOLO_STEPS] = steps

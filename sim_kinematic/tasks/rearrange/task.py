@@ -1,4 +1,4 @@
-"""Social rearrangement: a robot helps a person to bring objects to their goals; other casts can play it too.
+"""Social rearrangement: a robot helps a person to bring objects to their goals, or other agents do so.
 
 The rules follow the paper (section 4.2 and appendix) and habitat-lab (spec/habitat.md 2). There are two layers:
 high-level policies (`sim_kinematic.policies.rearrange`) choose skills (`sim_kinematic.agents.skills`), and skills move
@@ -53,13 +53,13 @@ from sim_kinematic.tasks.task import Task, TaskUsage
 
 
 def check_level(level: Any) -> None:
-    """Raise an `InputError` if actions of environments have no such level."""
+    """Raise an `InputError` if ``level`` is not a level of actions of environments."""
     if level not in ("high", "low"):
         raise InputError(f"Unknown level {level!r}. Expected one of: high, low.", code="H3-ENV-025")
 
 
 class Rearrange(Task):
-    """Bring objects to their goals (paper section 4.2)."""
+    """Task of bringing objects to their goals (paper section 4.2)."""
 
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
@@ -84,8 +84,8 @@ class Rearrange(Task):
     ) -> RearrangeEpisode:
         """Sample an episode for the first robot and the first person of the roster.
 
-        The default bodies stand in for a missing robot or person, so that objects, goals and the starts of these two
-        are the same whoever else plays the episode.
+        Default bodies replace a missing robot or person, so that objects, goals and the starts of these two do not
+        depend on the agents that play the episode.
         """
         self.control.check_roster(roster)
         pair, free = pair_of(roster), common_floor(roster, free)
@@ -106,26 +106,26 @@ class Rearrange(Task):
     def draw(
         self, scene: Scene, free: FreeSpace, seed: int, spec: Any, robot: Robot, person: Humanoid
     ) -> tuple[Starts, dict[str, Any]]:
-        """Sample the starts of robot and person, and further fields of the episode."""
+        """Sample the starts of a robot and a person, and further fields of the episode."""
         starts, targets = draw_episode(scene, free, seed, spec, robot, person)
         return starts, {"targets": targets}
 
     def parts_of(self, episode: RearrangeEpisode) -> tuple[int, ...]:
         """Return the joints of the doors and drawers that agents may choose to open by number, ``spec.parts`` of them.
 
-        They follow from the episode. Oracle skills, and so worlds on a device, open no others.
+        The joints follow from the episode. Oracle skills, and therefore worlds on a device, open no others.
         """
         del episode
         return ()
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Remember which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
+        """Reset the sub-goals that have been rewarded: that each object was taken, and that it came to its goal."""
         del rows
         play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)
 
     def judge(self, play: Any) -> StepOutcome:
-        """Pay for sub-goals that are reached for the first time; end with all objects at their goals, or by a contact."""
+        """Reward sub-goals that are reached for the first time; end with all objects at their goals, or by contact."""
         worth = REARRANGE_REWARDS[play.spec.reward]
         # nothing has changed since a step without any of this, as in ninety-nine steps of a hundred
         if play.team.is_quiet and play.outcome.columns and play.outcome.reward.item(0) == worth.slack:
@@ -147,7 +147,7 @@ class Rearrange(Task):
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors with objects and skills (`sim_kinematic.sensing.table.SENSES`), and those of parts that open."""
+        """Return the sensors of objects and skills (`sim_kinematic.sensing.table.SENSES`), and of parts that open."""
         return SENSES if not self.Spec.parts else {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
 
     @property

@@ -1,4 +1,4 @@
-"""Oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find them."""
+"""Oracle for the metrics SPS and F: the least steps in which a robot that knows the person's future finds them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec
 
     The person is found when the robot is ``spec.far_m`` from the end of the path and faces along it (paper appendix,
     "Oracle for the Minimum Steps"). The robot turns while it drives, so the larger of the two numbers of steps counts.
-    No policy needs fewer.
+    No policy needs fewer steps.
     """
     legs = np.diff(path, axis=0)
     lengths = np.hypot(legs[:, 0], legs[:, 1])
@@ -36,7 +36,8 @@ def oracle_min_steps(
 ) -> int | None:
     """Return ``l``, the first i with ``r_i < i`` along the person's ``track`` [E, 2], tested at every step (paper appendix).
 
-    ``track[k]`` is where the person is after step ``k + 1``. None if they cannot be found within the track.
+    ``track[k]`` is the position of the person after step ``k + 1``. Returns None if they cannot be found within the
+    track.
     """
     for i, place in enumerate(track, start=1):
         path = free.path(robot_xz, place)

@@ -10,7 +10,7 @@ from sim_kinematic.motion.spec import SocialNavSpec
 
 
 def is_object_at(position: Any, goal: Any, *, distance_m: float = 0.3, xp: Any = np) -> Any:
-    """Return Habitat's ``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than a distance.
+    """Return whether objects [..., 3] are within a distance [m] of goals [..., 3], as Habitat's ``object_at``.
 
     Positions are arrays, or tensors if ``xp`` is torch.
     """

@@ -1,9 +1,10 @@
-"""Rewards of both tasks, step by step for W worlds at once, in two profiles.
+"""Rewards of the two built-in tasks, computed step by step for W worlds at once, in two profiles.
 
-``paper`` are the published rewards (appendix, social navigation and social rearrangement), ``habitat`` those of
-habitat-lab's main branch.
+The profile ``paper`` has the published rewards (appendix, social navigation and social rearrangement), and ``habitat``
+those of habitat-lab's main branch.
 
-`h3data.metrics` (profile ``habitat``) computes the same over whole recordings; its configuration is used here.
+`h3data.metrics` (profile ``habitat``) computes the same rewards for whole recordings, and its configuration is used
+here.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ RewardProfile = Literal["paper", "habitat"]
 
 
 def check_profile(profile: str) -> None:
-    """Raise an `InputError` if there is no such `RewardProfile`."""
+    """Raise an `InputError` if there is no `RewardProfile` with this name."""
     if profile not in get_args(RewardProfile):
         raise InputError(
             f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.", code="H3-TASK-041"
@@ -32,7 +33,7 @@ def check_profile(profile: str) -> None:
 
 
 class Encounter(NamedTuple):
-    """Quantities of one step that the reward of social navigation needs."""
+    """Quantities of one step that the reward of social navigation depends on."""
 
     robot_xz: ArrayLike
     """Place of the robot, shape [W, 2] [m]."""
@@ -41,18 +42,19 @@ class Encounter(NamedTuple):
     human_xz: ArrayLike
     """Place of the person, shape [W, 2] [m]."""
     geodesic: ArrayLike
-    """Length of the shortest path between the two [m], shape [W]; inf where there is none, and the straight distance counts."""
+    """Length of the shortest path between robot and person [m], shape [W]; if it is infinite, the straight distance
+    counts."""
     collides: ArrayLike = False
-    """True if both touch, shape [W]."""
+    """True if robot and person touch, shape [W]."""
     collisions: ArrayLike = 0
     """Collisions of the robot with anything since the start, shape [W] (``habitat`` only)."""
     faces: ArrayLike | None = None
-    """Value of `facing` of the robot towards the person, shape [W], if it is known; None: it is computed."""
+    """Value of `facing` of the robot towards the person, shape [W]; None: it is computed."""
     goal_xz: ArrayLike | None = None
     """Position of the task's navigation goal, shape [W, 2] [m]; only if ``habitat`` is configured to measure to it."""
 
     def of(self, where: NDArray[np.bool_]) -> Encounter:
-        """Return some of the worlds; values that hold for all worlds stay as they are."""
+        """Return the quantities in some of the worlds; values that hold for all worlds are unchanged."""
         rows: dict[str, Any] = {
             n: v if v is None or np.ndim(v) == 0 else np.asarray(v)[where] for n, v in self._asdict().items()
         }
@@ -60,7 +62,7 @@ class Encounter(NamedTuple):
 
 
 class RewardStep(NamedTuple):
-    """Reward, success and end of a step, each [W]."""
+    """Reward, success and end of a step, each of shape [W]."""
 
     reward: NDArray[np.float64]
     success: NDArray[np.bool_]
@@ -89,9 +91,9 @@ class PaperReward:
 
         Args:
             distance: distance between robot and person after the step [m].
-            before: distance before it [m].
+            before: distance between robot and person before the step [m].
             faces: `facing` of the robot towards the person after the step.
-            followed: steps in which the person was followed before this one.
+            followed: number of earlier steps in which the person was followed.
             rules: distances and angle at which the robot follows.
             xp: array namespace.
 
@@ -111,7 +113,7 @@ class PaperReward:
 
 
 class SocialNavReward:
-    """Reward of social navigation in W worlds, with the last distances and the steps for which each robot has followed."""
+    """Reward of social navigation in W worlds, with the last distances and the numbers of steps followed."""
 
     def __init__(
         self,
@@ -130,16 +132,16 @@ class SocialNavReward:
             habitat or HabitatConfig(),
         )
         self.followed = np.zeros(worlds, np.int64)
-        """Steps in which the person was followed, not necessarily in a row, shape [W]."""
+        """Number of steps in which the person was followed, not necessarily in a row, shape [W]."""
         self._distance = np.full(worlds, np.nan)
         self._collisions = np.zeros(worlds, np.int64)
         self._found = np.zeros(worlds, np.bool_)
         self._cells: list[set[tuple[int, int]]] = [set() for _ in range(worlds)]
 
     def reset(self, seen: Encounter, *, where: ArrayLike = True) -> RewardStep:
-        """Begin new episodes in the worlds ``where`` [W], which look like ``seen``.
+        """Start new episodes in the worlds ``where`` [W], whose first states are ``seen``.
 
-        The result has a meaning for ``habitat`` only, where the reset is evaluated as a step and may count as followed.
+        The result is meaningful only for ``habitat``, where the reset is evaluated as a step and may count as followed.
         """
         fresh = np.broadcast_to(np.asarray(where, np.bool_), self.followed.shape)
         new = SocialNavReward(
@@ -258,11 +260,11 @@ def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
 # --- rearrangement ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class RearrangeReward:
-    """Rewards of social rearrangement; the defaults are the paper's."""
+    """Rewards of social rearrangement, by default those of the paper."""
 
     success: float = 10.0
     stage: float = 5.0
-    """Reward for each sub-goal (an object picked, an object at its goal), once."""
+    """Reward for each sub-goal (an object picked, an object at its goal), given once."""
     collision: float = 5.0
     """Penalty when the agents touch, which ends the episode."""
     slack: float = -0.005
@@ -271,21 +273,21 @@ class RearrangeReward:
         """Return the reward of a step in W worlds of K objects, as arrays or tensors.
 
         Args:
-            held: which objects somebody holds, bool [W, K].
-            at_goal: which are at their goals, and in nobody's hand, bool [W, K].
-            paid: sub-goals that have been paid before: each object taken, then each at its goal, bool [W, 2 K].
+            held: which objects are held, bool [W, K].
+            at_goal: which objects are at their goals and not held, bool [W, K].
+            paid: sub-goals that were rewarded before: each object taken, then each at its goal, bool [W, 2 K].
             collides: whether the agents touch, as numbers [W] in the type of the reward.
             xp: array namespace.
 
         Returns:
-            The reward; the sub-goals that have been paid now; whether all objects are at their goals.
+            The reward; the sub-goals that have been rewarded now; whether all objects are at their goals.
         """
         stages, success = xp.concatenate([held, at_goal], -1), at_goal.all(-1)
         # what is paid stays paid, even if an object is taken from its goal and put back
         return self.of((stages & ~paid).sum(-1), collides, success), paid | stages, success
 
     def of(self, reached: Any, collides: Any, success: Any) -> Any:
-        """Return the reward of a step in which ``reached`` sub-goals were paid: numbers, or arrays [W]."""
+        """Return the reward of a step in which ``reached`` sub-goals were rewarded, as a number or array [W]."""
         return self.stage * reached - self.collision * collides + self.success * success + self.slack
 
 
@@ -294,4 +296,4 @@ REARRANGE_REWARDS: dict[str, RearrangeReward] = {
     # a tenth of what the paper prints, in habitat-lab's configuration
     "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
 }
-"""Rewards of rearrangement by profile."""
+"""Rewards of rearrangement by the name of the profile."""

@@ -1,1 +1,1 @@
-"""Tasks whose agents have skills: they pick and place objects, open and close doors and drawers."""
+"""Tasks whose agents have skills: they pick and place objects, and open and close doors and drawers."""

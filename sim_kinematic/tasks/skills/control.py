@@ -1,4 +1,4 @@
-"""Control of agents by skills: they go to things, take them, put them down, open and close."""
+"""Control of agents by skills: they go to objects, take them, put them down, and open and close doors and drawers."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from sim_kinematic.tasks.skills.kept_track import SkillTrack, follow_track
 
 
 class SkillControl(Control):
-    """Control of agents with skills, in one world at a time."""
+    """Control of agents with skills, for one world at a time."""
 
     has_skills: ClassVar[bool] = True
     observations: ClassVar[tuple[str, ...]] = STATE_SENSES
 
     def __init__(self) -> None:
-        """Create the control."""
+        """Create the control with the skills of robots and people."""
         # people without a robot's primitives, which come after the first five
         super().__init__({"robot": SKILLS, "human": SKILLS[:5]})
 
@@ -60,12 +60,12 @@ class SkillControl(Control):
                 agent.body.require_arm()
 
     def team(self, play: Any) -> Household:
-        """Return agents and things of one world."""
+        """Return the agents and things of one world."""
         return Household(play)
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Action:
-        """Return a skill, robot command or person command from outside as an `Action`.
+        """Return a skill, robot command or person command from outside as an `Action`, after checking it.
 
         Raises:
             InputError: The choice is malformed or names an object or skill that does not exist.
@@ -89,16 +89,16 @@ class SkillControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Action:
-        """Return a choice as `checked`, except that a driven person takes any `Action`.
+        """Return a choice in the form that `checked` returns, except that a driven person takes any `Action`.
 
-        Their recorded commands may be impossible; in a replay they refuse them again.
+        The recorded commands of driven people may be impossible; in a replay they are refused again.
         """
         if isinstance(choice, Action) and isinstance(play.team.actors[number], DrivenPerson):
             return choice
         return self.checked(play, number, choice)
 
     def idle(self, play: Any, number: int, last: Any) -> Action:
-        """Return the choice to continue the running skill or the last velocity, otherwise to stand for a step."""
+        """Return the choice to continue the running skill or the last velocity, or else to stand for one step."""
         runner = play.team.controllers[number]
         if runner.skill is not None:
             # choosing the running skill again lets it continue
@@ -115,21 +115,21 @@ class SkillControl(Control):
         return not runner.is_free and runner.action.skill != "wait"
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Return whether the choice is a skill that interrupts, and not the one that is running already."""
+        """Return whether the choice is a skill that interrupts and is not the skill that is already running."""
         return interrupts_skill(choice) and choice != play.team.controllers[number].action
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Return the reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        """Return, as a sentence, the reason why a choice is infeasible now; None if it is feasible."""
         actor = play.team.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
 
     def to_json(self, choice: Any) -> Any:
-        """Return the skill or command as JSON types, for the recorded raw input."""
+        """Return a skill or command as JSON types, for the raw input in recordings."""
         return command_to_json(choice)
 
     def from_json(self, data: Any) -> Any:
-        """Return the skill or command that `to_json` wrote."""
+        """Return the skill or command that `to_json` converted."""
         return command_from_json(data)
 
     # --- recordings ---------------------------------------------------------------------------------------------------
@@ -142,11 +142,11 @@ class SkillControl(Control):
         return replace(agent, skill_names=ALL_SKILLS) if seen or episode.scene.articulations else agent
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Return the skill and skill target of every agent."""
+        """Return the names of the columns for the skill and the skill target of every agent."""
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Return the numbers of all agents, since every skill that is chosen is recorded."""
+        """Return the numbers of all agents, since every chosen skill is recorded."""
         del names
         return set(range(len(recording.agents)))
 
@@ -201,7 +201,7 @@ class SkillControl(Control):
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Let people take things and put them down as recorded, except things that are not there."""
+        """Let people take objects and put them down as recorded, except objects that are elsewhere."""
         first = min(since, _track_from(recording))
         tracks = [SkillTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
 

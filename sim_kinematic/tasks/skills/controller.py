@@ -25,32 +25,32 @@ from sim_kinematic.avoidance.yielding import NO_PATH
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
 """Skills whose end does not count as a completed task."""
 CHOICES = 9
-"""Number of skills without duration that an agent may choose in one step, after which it stands still for this step."""
+"""Number of skills without duration that an agent may choose in one step before it has to stand still."""
 
 
 @dataclass(eq=False)
 class SkillController:
-    """Controller of one agent with skills in the only world."""
+    """Controller of one agent with skills, in the only world of a rollout."""
 
     number: int
     """Number of the agent, as in the state and in the recording."""
     actor: AnyActor
     spans: list[SkillSpan]
-    """Skills that have ended, for the recorder."""
+    """Skills that have ended, for the recorder to write."""
     names: tuple[str, ...]
     joints: tuple[str, ...] = ()
-    """Names of doors and drawers."""
+    """Names of the doors and drawers of the home."""
     surfaces: tuple[str, ...] = ()
-    """Names of the surfaces at which the agent may look, if it knows only what it has seen."""
+    """Names of the surfaces at which the agent may search, if it knows only what it has seen."""
     aim: Callable[[int, Action], str] | None = None
-    """Function ``(number, action)`` that gives an object another goal, and returns the reason if it cannot
+    """Function ``(number, action)`` that gives an object another goal, and returns the reason if that is impossible
     (`sim_kinematic.tasks.skills.household.Household.aim`)."""
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: SkillResult | None = None
     skill: Skill | None = None
     begun: int = 0
     completed: int = 0
-    """Number of skills that the agent has completed, without waiting and commands."""
+    """Number of skills that the agent has completed, not counting waiting and commands."""
     _driven_since: int = -1
     """First step of the commands that a driven person has followed without a skill in between; -1: no command is running."""
     _step: int = 0
@@ -65,19 +65,19 @@ class SkillController:
 
     @property
     def is_free(self) -> bool:
-        """Return whether the agent will have to choose in its next step."""
+        """Return whether the agent has to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
     def begin(self, step: int) -> None:
-        """Begin a step, in which a running skill goes on."""
+        """Start a step, in which a running skill continues."""
         self._step, self._left, self._interrupted = step, CHOICES, False
 
     def interrupt(self, reason: str) -> None:
-        """Let the agent choose while a skill is running; if it chooses the same skill again, the skill continues."""
+        """Let the agent choose while a skill is running; if it chooses the same skill again, that skill continues."""
         self.ending, self._interrupted = SkillResult("aborted", reason), True
 
     def start(self, chosen: Action) -> None:
-        """Begin a skill; an infeasible one does nothing and takes one step, as in Habitat."""
+        """Start a skill; an infeasible skill does nothing and takes one step, as in Habitat."""
         if self._left > 1 and isinstance(chosen.command, Message) and isinstance(self.actor, DrivenPerson):
             # people who are driven talk while they walk or a skill goes on, and choose again. A message of others is a
             # skill that takes no time, as their replays follow the spans of skills
@@ -105,7 +105,10 @@ class SkillController:
         self.skill, self.ending = self.actor.start(chosen), None
 
     def step(self) -> None:
-        """Move the agent by its skill. If the skill ends at once, it takes no time, and the agent chooses again."""
+        """Move the agent by one step of its skill.
+
+        A skill that ends at once takes no time, and the agent chooses again.
+        """
         if self._interrupted:
             return
         if self.skill is not None:
@@ -138,11 +141,11 @@ class SkillController:
         self._write(step, "done", "")
 
     def follow(self, skill: Skill, step: int) -> None:
-        """Let the agent continue a skill that no policy has chosen, from ``step`` on."""
+        """Let the agent follow a skill that no policy has chosen, from ``step`` on."""
         self.action, self.skill, self.ending, self.begun = Action("wait"), skill, None, step
 
     def finish(self, step: int, *, completed: bool) -> None:
-        """Report the skill that is still running in the last step.
+        """Report a skill that is still running in the last step.
 
         If the agent ``completed`` the task, the skill counts as done: the episode ends before the skill itself does.
         """

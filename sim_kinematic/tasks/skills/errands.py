@@ -1,4 +1,4 @@
-"""Places at which agents with oracle skills take and put down the objects of an episode, and paths to these places."""
+"""Places at which agents with oracle skills take and put down an episode's objects, and paths to these places."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Stands = tuple[Array, Callable[[Array], bool]]
 
 
 def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = ()) -> SubGoals:
-    """Return the errands of an agent in an episode, which are computed once and kept in the episode.
+    """Return the sub-goals of an agent in an episode, which are computed once and cached with the episode.
 
     ``parts`` are the joints of the doors and drawers that the agent may open (`Rearrange.parts_of`).
 
@@ -63,10 +63,10 @@ def errands_of(episode: RearrangeEpisode, number: int, parts: tuple[int, ...] = 
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
-    """Return floor points [S, 2] from which an agent reaches each of the given world points [3].
+    """Return floor points [S, 2] [m] from which an agent reaches each of several world points [3].
 
-    For each point they are the nearest to the agent's start and the nearest to the stands of each other point, among
-    those with room for the agent's reach.
+    For each world point, they are the stand nearest to the agent's start and the stands nearest to those of each other
+    point, among the stands with room for the agent's reach.
     """
     floor, start = episode.floor(number), episode.starts[number, :2]
     stands = [list(_stands(episode, number, floor, point)) for point in points]

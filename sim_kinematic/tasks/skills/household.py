@@ -1,6 +1,6 @@
-"""Agents with skills in one home: their observations and actions, and the state of the things that they use.
+"""Agents with skills in one home: their observations and actions, and the state of the objects, doors and drawers.
 
-The task decides on rewards and on the end of the episode (`sim_kinematic.tasks.task.Task.judge`).
+The task determines rewards and the end of the episode (`sim_kinematic.tasks.task.Task.judge`).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from sim_kinematic.world import Command
 CONTACT = "contact"
 # one second of 30 steps, and the present
 TRACK = 31
-"""Number of positions of the other agent that a policy observes, the present one included."""
+"""Number of positions of the other agent that a policy observes, including the present one."""
 
 
 class Household(Team):
@@ -77,14 +77,14 @@ class Household(Team):
             )
         self._joints_moved = False
         self._finishers: frozenset[int] = frozenset()
-        """Agents that placed an object at its goal in the last step."""
+        """Numbers of the agents that placed an object at its goal in the last step."""
         self.is_quiet = False
-        """True if nothing changed hands or came to its goal in the last step, and nobody touched anybody."""
+        """True if no object changed hands or came to its goal in the last step, and no agents touched."""
         self._apart = np.zeros((1, len(play.world.pairs)), np.bool_)
-        """`World.touching` where nobody touches anybody."""
+        """Value of `World.touching` when no agents touch."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Put the agents and the things of the home at the places where they are at the beginning of an episode."""
+        """Put the agents and the things of the home at their places at the start of an episode."""
         del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
@@ -96,7 +96,7 @@ class Household(Team):
         self.objects = Objects(names, goals, state, joints, episode.scene)
         self.doorways = RoomDoors.of(episode.scene, episode.free)
         self.floor = episode.free
-        """Present free floor, with doors and drawers as they stand."""
+        """Free floor with doors and drawers at their present positions."""
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(episode.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
@@ -107,14 +107,14 @@ class Household(Team):
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
         self.messages: list[Event] = []
-        """Everything that has been said so far."""
+        """Messages that agents have sent so far, as events."""
         self.company = self._introduced()
         # after the company, which doors must not open into
         self.objects.openables = openables = self._openables()
         self.handles: Any = (
             openables.handles(openables.joints.rest)[list(self.parts)] if openables else np.zeros((0, 3))
         )
-        """Places of the handles of `parts` at rest, [M, 3] [m]."""
+        """Positions of the handles of `parts` at rest, [M, 3] [m]."""
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
@@ -268,16 +268,16 @@ class Household(Team):
             self.play.events.append(event)
 
     def set_goal(self, k: int, goal: Array, receptacle: str) -> None:
-        """Give object ``k`` another goal, a world point [3] on a receptacle while doors and drawers are at rest."""
+        """Give object ``k`` another goal, a world point [3] [m] on a receptacle with doors and drawers at rest."""
         self._goals[k] = self.objects.goals[k] = goal
         self._carriers[k] = joints_of(self.episode.scene).owner.get(receptacle.partition("|")[0], -1)
         self._carry_goals()
 
     def aim(self, number: int, action: Action) -> str:
-        """Carry out a command that takes no time: say a `Message`, or give an object the goal of a `Destination`.
+        """Carry out a command that takes no time: send a `Message`, or give an object the goal of a `Destination`.
 
         Returns:
-            The reason if this is impossible, which another goal is in most tasks; empty if it is done.
+            The reason if this is impossible, as another goal is in most tasks; empty if it is done.
         """
         if not isinstance(action.command, Message):
             return "no_space"
@@ -316,14 +316,14 @@ class Household(Team):
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def begin_step(self) -> None:
-        """Decide at the beginning of a step which agents step aside."""
+        """Decide at the start of a step which agents step aside."""
         super().begin_step()
         # copies, with which `move` compares what the agents have made of them
         self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
         self.company.begin_step([number for number in self._held if number != NOBODY])
 
     def begin_turn(self, number: int) -> None:
-        """Show an agent the others, and interrupt its skill if its policy wants to."""
+        """Update an agent's view of the others, and interrupt its skill if its policy requests it."""
         controller = self.controllers[number]
         self.company.begin_turn(controller.actor)
         # a command lasts one step, so there is nothing to interrupt
@@ -342,7 +342,7 @@ class Household(Team):
         self.company.end_turn(number)
 
     def note_places(self) -> None:
-        """Store the poses of all agents now, and those of the last call in `World.before`."""
+        """Store the present poses of all agents, and those of the last call in `World.before`."""
         world = self.play.world
         for was, place in zip(world.before.agents, self._places, strict=True):
             was.xz[0, 0], was.xz[0, 1], was.heading[0] = place
@@ -369,7 +369,7 @@ class Household(Team):
 
     @property
     def open_joints(self) -> NDArray[np.bool_]:
-        """Return which doors and drawers stand at least ajar, [J]."""
+        """Return which doors and drawers are at least ajar, as bool [J]."""
         if self.objects.openables is None:
             return np.zeros(0, np.bool_)
         return self.objects.openables.joints.shares(self.objects.openables.positions) >= AJAR
@@ -380,7 +380,7 @@ class Household(Team):
         return self.objects.openables
 
     def finish(self) -> None:
-        """Report the skills that are still running."""
+        """Report the skills that are still running at the end of the episode."""
         success = bool(self.play.outcome.success[0])
         for number in self.order:
             # the episode ends while the last placing runs on: it has done what it was to do
@@ -388,7 +388,7 @@ class Household(Team):
             self.controllers[number].finish(max(self.play.step - 1, 0), completed=done)
 
     def view(self, agent: int, world: int = 0) -> RearrangeView:
-        """Return the knowledge of an agent at this moment, for policies that choose skills."""
+        """Return the present knowledge of an agent, for policies that choose skills."""
         del world
         runner, before = self.controllers[agent], self.play.world.before.agents[agent]
         me, other = self.actors[runner.number], self.company.nearest(runner.number)
@@ -432,7 +432,7 @@ class Household(Team):
         )
 
     def choices(self, agent: int) -> tuple[Action, ...]:
-        """Return what an agent can choose among, by number (`sim_kinematic.agents.skills.choices`)."""
+        """Return the actions that an agent can choose from, by number (`sim_kinematic.agents.skills.choices`)."""
         return choices(len(self.starts), robot=isinstance(self.actors[agent], RobotActor), parts=self.parts)
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
@@ -462,7 +462,7 @@ class Household(Team):
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 
     def errand(self, number: int) -> TaskProgress:
-        """Return progress of an agent with its present task."""
+        """Return the progress of an agent in its present task."""
         runner = self.controllers[number]
         skill, k, *_ = runner.action
         # skills by which somebody else moves a robot step by step
@@ -484,7 +484,7 @@ class Household(Team):
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
-        """Return `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
+        """Return `RearrangeView.barrier` for an agent that prefers detours of ``detour_m`` [m] to opening a door."""
         if self.objects.openables is None:
             return -1
         shut, positions = self.objects.openables.barrier_of(k, at_goal=at_goal), self.objects.openables.positions
@@ -507,7 +507,7 @@ class Household(Team):
         return door
 
     def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
-        """Return the number of the first closed door between rooms that blocks all poses from which an agent could act.
+        """Return the first closed door between rooms that blocks all poses from which an agent could act.
 
         Args:
             actor: the agent.
@@ -533,7 +533,7 @@ class Household(Team):
     def exact(
         self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()
     ) -> dict[str, Array]:
-        """Return the named observations of an agent in the only world, then in the worlds of the teams ``beside``."""
+        """Return the named observations of an agent in the only world, followed by those of the teams ``beside``."""
         shown = exact([team.view(agent, 0) for team in (self, *beside)], names, sensors)
         if self.objects.sight is not None:
             # positions of things that the agent has not seen are NaN, which no network takes
@@ -541,7 +541,7 @@ class Household(Team):
         return shown
 
     def info(self, number: int) -> dict[str, Any]:
-        """Return facts about an agent's last skill, the objects, and which of its choices are possible now."""
+        """Return facts about an agent's last skill, the objects, and the choices that are possible now."""
         ending = self.controllers[number].ending
         return {
             "outcome": ending.outcome if ending else "running",
@@ -555,7 +555,7 @@ class Household(Team):
         }
 
     def scenery(self, world: int) -> dict[str, Any]:
-        """Return arms, hands and objects where they are now, and doors and drawers where they last came to rest."""
+        """Return the present state of arms, hands and objects, and doors and drawers where they last came to rest."""
         del world
         objects = self.objects
         return {
@@ -566,7 +566,7 @@ class Household(Team):
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Return poses, holds and skills of all agents, and poses of all things."""
+        """Return the poses, held objects and skills of all agents, and the poses of all things."""
         # copies, as the recorder keeps rows until a block is full, while the state goes on
         row: dict[str, Any] = {"object_pose": self.objects.poses.copy()}
         if self.objects.openables is not None:

@@ -1,4 +1,4 @@
-"""Recorded tracks of people with skills, which they keep whatever the robots do."""
+"""Recorded tracks of people with skills, which they follow regardless of the robots."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from sim_kinematic.tasks.play import WorldRollout
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillTrack:
-    """Recorded track of one person."""
+    """Recorded track of one person with skills."""
 
     base: Array
     """Pose (pose7) of the agent root in each step [T, 7]."""
     root: Array
-    """Pelvis in the world, pose7 [T, 7]."""
+    """Pose (pose7) of the pelvis in the world in each step, [T, 7]."""
     joints: Array
-    """Local rotations of the other joints, [T, 54, 4]."""
+    """Local rotations (quaternions) of the other joints in each step, [T, 54, 4]."""
     held: NDArray[np.integer]
-    """Index of the object in the hand, -1 = nothing, [T]."""
+    """Index of the object in the hand in each step, [T]; -1: none."""
     objects: Array
     """Pose (pose7) of each object of the task in each step, [T, K, 7]."""
     led: dict[int, list[tuple[int, float]]] = field(default_factory=dict)
-    """Doors and drawers that the person opened or closed: number and position of each, by step."""
+    """Doors and drawers that the person opened or closed: number and position [rad or m] of each, by step."""
 
     @classmethod
     def of(cls, recording: Recording, number: int, bodies: NDArray[np.integer]) -> SkillTrack:
-        """Return the track of an agent; ``bodies`` [K + 1] are the objects' bodies, and -1.
+        """Return the track of an agent; ``bodies`` [K + 1] are the bodies of the objects, with -1 at the end.
 
         Raises:
             InputError: The body was not recorded at every step.
@@ -85,7 +85,7 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
 
 
 def follow_track(play: WorldRollout, actor: PersonActor, track: SkillTrack, step: int) -> None:
-    """Let a person, from ``step`` on, follow a track to its end; no policy is asked."""
+    """Let a person follow a track from ``step`` to its end, without asking a policy."""
     # the person reacts to nobody any more, so a pair has nothing to agree on
     if len(play.team.actors) == 2:
         play.team.company.right_of_way, play.team.company.agreed = None, False

@@ -1,6 +1,6 @@
-"""Start states of navigation, picking and placing, for training and evaluating learned skills.
+"""Initial states of navigation, picking and placing, for training and evaluating learned skills.
 
-They are taken from episodes of rearrangement.
+The states are taken from episodes of rearrangement.
 """
 
 from __future__ import annotations
@@ -24,27 +24,28 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 Skill = Literal["nav", "pick", "place"]
 SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
 CANDIDATES, ROUNDS = 64, 8
-"""Number of floor points that are compared at once for one start, and of such attempts before the start is given up."""
+"""Number of floor points that are compared at once for one start, and number of such attempts before the start is given
+up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillStart:
-    """Start state of a robot at rest that has one skill to carry out."""
+    """Initial state of a robot at rest that has to carry out one skill."""
 
     skill: Skill
     target: int
-    """Number of the object."""
+    """Number of the object that the skill handles."""
     holds: bool
     """True if the object is in the robot's hand."""
     point: Array
-    """Position of the object, or of its goal, [3] [m]."""
+    """Position of the object, or of its goal, in the world, [3] [m]."""
     stand_xz: Array
-    """The place nearest to the start, by the path there, from which the hand reaches the point, [2] [m]."""
+    """Place nearest to the start, by the path there, from which the hand reaches the point, [2] [m]."""
     xz: Array
-    """Position of the robot, [2] [m]."""
+    """Position of the robot on the floor, [2] [m]."""
     heading: float
     objects: Array
-    """Positions of the objects, [K, 3] [m]; that of an object in the hand has no meaning."""
+    """Positions of the objects, [K, 3] [m]; the position of an object in the hand has no meaning."""
 
 
 def draw_starts(
@@ -58,16 +59,16 @@ def draw_starts(
     any_spot: bool = False,
     rules: SkillSpec | None = None,
 ) -> list[SkillStart]:
-    """Sample ``count`` starts of a robot of an episode for one skill, fewer where there is no room.
+    """Sample up to ``count`` initial states of a robot in an episode for one skill, fewer if there is no room.
 
     Args:
-        episode: Its home, objects and goals.
-        skill: Navigation leads to an object or, with it in the hand, to its goal.
+        episode: Episode with the home, the objects and their goals.
+        skill: Name of the skill; navigation leads to an object or, with the object in the hand, to its goal.
         count: Number of starts.
-        rng: Source of random numbers.
+        rng: Random number generator.
         robot: Number of the agent.
-        path_m: Least and greatest length of the path to the nearest stand; None: those with which the skill is judged.
-        any_spot: True if objects may also be picked up at their goals and put down where they lay, for more variety.
+        path_m: Least and greatest length of the path to the nearest stand [m]; None: as in evaluation.
+        any_spot: True if objects may also be picked at their goals and placed at their starts, for variety.
         rules: Rules of the skills.
     """
     body = episode.roster[robot].body

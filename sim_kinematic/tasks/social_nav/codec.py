@@ -47,9 +47,10 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
     records_judgement: ClassVar[bool] = False
 
     def record(self, episode: Episode) -> SocialNavEpisode:
-        """Return the record of an episode: its starts, every goal that the person can reach in its time, and the rules.
+        """Return the record of an episode: its starts, all goals that the person can reach in time, and the rules.
 
-        It follows from scene, seed and rules alone, and `episode_from` makes the same episode of it, bit for bit.
+        The record follows from scene, seed and rules alone, and `episode_from` makes the same episode from it, bit for
+        bit.
         """
         robot, human = episode.starts.tolist()
         return SocialNavEpisode(
@@ -69,7 +70,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
     def entry(
         self, record: SocialNavEpisode, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
-        """Return the entry of an episode file, in the form of Habitat's social navigation episodes."""
+        """Return the entry of an episode file, in the format of Habitat's social navigation episodes."""
         return social_nav_episode(
             record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
         )
@@ -80,7 +81,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         return read_social_nav(entry)
 
     def rules(self, record: SocialNavEpisode) -> SocialNavSpec:
-        """Return rules in a record."""
+        """Return the rules in a record."""
         return read_rules(record.rules, SocialNavSpec, max_steps=record.max_steps)
 
     def episode(self, record: SocialNavEpisode, place: EpisodePlace) -> Episode:
@@ -92,7 +93,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         """Return the episode of a recording, from the rules and starts in its info.
 
         Raises:
-            InputError: The recording lacks one of them, or its agents are not a robot and a person.
+            InputError: The recording lacks rules or starts, or its agents are not a robot and a person.
         """
         info, agents = recording.episode.info, recording.agents
         require_info(recording, "spec", "robot_start", "human_start")
@@ -131,7 +132,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         return "follow the person"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return policies, rules, starts and the person's goals for the recording's info."""
+        """Return the policies, rules, starts and the person's goals for a recording's info."""
         spec, (robot, human) = episode.spec, episode.starts.tolist()
         info = {
             "policy": policies[ROBOT].name,
@@ -149,7 +150,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Return the identifier, derived from scene, bodies, seed, policies, rules and, where they are given, goals."""
+        """Return an identifier derived from scene, bodies, seed, policies, rules and, if they are given, goals."""
         digest = scene_attachment(episode.scene)[1]
         robot, human = episode.roster
         goals, partner = goals_of(episode), policies[HUMAN].name
@@ -160,7 +161,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         return uid_of(what)
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
-        """Raise an `InputError` if a policy is chosen for a person who walks by a script."""
+        """Raise an `InputError` if a policy is chosen for a person who follows a script."""
         if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
             raise InputError(
                 "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
@@ -168,10 +169,10 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
             )
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return the person's goals, and the fewest steps ``l`` in which an oracle finds them.
+        """Return the person's goals, and the least number of steps ``l`` in which an oracle finds the person.
 
-        Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
-        the track that they walked.
+        Both follow from the person's whole plan, regardless of the length of the episode. For a person without a
+        script, they follow from the track that the person walked.
         """
         info: dict[str, Any] = {"ended": play.ended}
         if isinstance(policies[HUMAN].policy, WaypointPolicy):
@@ -184,13 +185,13 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
 
 
 def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
-    """Return the points ``(x, z)`` that the person walks to first; without any, all are sampled by the seed."""
+    """Return the given points ``(x, z)`` [m] that the person walks to first; all later ones are sampled by the seed."""
     return tuple((float(x), float(z)) for x, z in episode.extra.get("human_goals", ()))
 
 
 @lru_cache(maxsize=4)
 def plan_of(episode: Episode) -> HumanPlan:
-    """Return the whole walk of the scripted person, from the start to the time limit, however long the episode lasts."""
+    """Return the whole walk of the scripted person, from the start to the time limitof an episode."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,
@@ -214,10 +215,10 @@ def episode_from(
 ) -> Episode:
     """Return the episode that a record stores, in its scene.
 
-    ``spec`` and the bodies ``human`` and ``robot`` stand in for the record's own; ``free`` saves building the map again.
+    ``spec`` and the bodies ``human`` and ``robot`` replace those of the record; ``free`` saves computing the map again.
 
     Raises:
-        SceneError: A start or a goal is not on the free floor, or they are not on one island: the scene is another one.
+        SceneError: A start or a goal is off the free floor or on another island, so the scene must differ.
         InputError: There are no such rules or bodies.
     """
     rules: SocialNavSpec = spec or read_rules(episode.rules, SocialNavSpec, max_steps=episode.max_steps)

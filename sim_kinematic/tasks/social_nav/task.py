@@ -39,32 +39,33 @@ from sim_kinematic.tasks.social_nav.codec import SocialNavCodec, plan_of
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
-"""Rules of the paper for training, in which both start at least 3 m apart (appendix, social navigation)."""
+"""Rules of the paper for training, in which robot and person start at least 3 m apart (appendix, social navigation)."""
 
 
 @dataclass(eq=False)
 class SocialNavState:
-    """Memory of the rules for W worlds, [W] each."""
+    """Memory of the task's rules for W worlds, with arrays [W]."""
 
     rewards: SocialNavReward | None
     """Rewards of the step; None if they are not computed."""
     geodesic: Array
-    """Shortest path from robot to person [m], inf where there is none."""
+    """Length of the shortest path from robot to person, [W] [m]; infinite if there is none."""
     collides: NDArray[np.bool_]
-    """True if robot and person touch."""
+    """True if robot and person touch, [W]."""
     found: NDArray[np.bool_]
-    """True if the robot has found the person in this episode."""
+    """True if the robot has found the person in this episode, [W]."""
     success: NDArray[np.bool_]
-    """True if the robot has followed the person long enough."""
+    """True if the robot has followed the person long enough, [W]."""
     faces: Array
-    """Cosine between the robot's forward axis and the direction to the person."""
+    """Cosine between the robot's forward axis and the direction to the person, [W]."""
     collisions: NDArray[np.int64]
     goal: NDArray[np.int64]
-    """Number of the goal that a scripted person walks to, -1 before the first one and for people without a script."""
+    """Number of the goal that a scripted person walks to, [W]; -1 before the first goal and for people without a
+    script."""
     leg: NDArray[np.int64]
-    """Index of the waypoint within the path to the goal."""
+    """Index of the waypoint on the path to the goal, [W]."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
-    """Positions so far of a person who follows no script."""
+    """Positions so far of a person without a script, each [2] [m]."""
 
 
 class SocialNav(Task):
@@ -135,7 +136,7 @@ class SocialNav(Task):
         return None
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Return the observation of a policy: a `SocialNavView` for the robot, unless its policy takes an `AgentView`."""
+        """Return the observation of a policy: a `SocialNavView` for the robot, or an `AgentView` if it takes one."""
         if agent != ROBOT or (play.policies and play.policies[ROBOT].takes_agent_view):
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
@@ -196,7 +197,7 @@ class SocialNav(Task):
             state.success[rows] |= worth.success[rows]
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Compute reward, success and end of a step, with an event when the person is first found."""
+        """Compute reward, success and end of a step, and an event when the person is first found."""
         state: SocialNavState = play.memory
         # before the look, so that the event comes in the step in which this changes
         lost = not state.found[0]
@@ -242,7 +243,7 @@ class SocialNav(Task):
         return [(0, event) for event in events]
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Return the distance, success, steps followed and contacts of each world, [W] each."""
+        """Return the distance, success, steps followed and contacts of each world, each [W]."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
         return {
