@@ -1,7 +1,7 @@
 """Single steps of long recordings, read without the rest of the file.
 
-A log is read through its summary, chunk index and message index: one chunk (up to 4 MiB) for a step. A dataset is read by
-the row group of the episode, and only the columns asked for.
+A log is read through its summary, chunk index and message index: reading a step decodes one chunk (up to 4 MiB). From a
+dataset, the row group of the episode is read, with requested columns only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Steps(ABC):
     def __len__(self) -> int: ...
 
     def rows(self, start: int, stop: int, *, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
-        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
+        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all columns, or only ``columns``.
 
         Raises:
             InputError: there are no such steps or columns.
