@@ -57,12 +57,12 @@ class Steps(ABC):
         return {name: array[0] for name, array in self.rows(at, at + 1).items()}
 
     def recording(self, start: int, stop: int) -> Recording:
-        """Return steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
+        """Return steps ``start`` to ``stop - 1`` as a separate recording, for example to render them.
 
-        Steps of events and skills count from ``start``. Spans are cut to these steps; one that continues afterwards becomes
-        ``running``. Inputs are those after the step before ``start``, up to the last step: adjacent windows divide them.
-        ``info["window"]`` holds ``start``, ``stop`` and the number of steps it was cut from; ``time_ns`` and ``state_hash``
-        do not change.
+        Steps of events and skills count from ``start``. Spans are cut to these steps; a skill that continues afterwards
+        becomes ``running``. The recording has the inputs after the step before ``start``, up to the last step, so
+        adjacent windows share no inputs. ``info["window"]`` holds ``start``, ``stop`` and the number of steps of the
+        whole recording; ``time_ns`` and ``state_hash`` do not change.
         """
         self._require_steps(start, stop)
         whole = self._recording(start, stop)

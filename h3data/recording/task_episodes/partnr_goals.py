@@ -42,14 +42,15 @@ class _Proposition(msgspec.Struct):
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other episodes.
+    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other
+    episodes.
 
-    Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
-    things done is not kept.
+    If several objects satisfy a proposition, the first ones that no other proposition needs are chosen. The temporal
+    order that an episode requires is ignored.
 
     Raises:
         FormatError: the propositions are malformed.
-        InputError: it asks for something else, or for nothing.
+        InputError: the episode has unsupported propositions, or none.
     """
     listed = episode.extra.get(PROPOSITIONS)
     if listed is None:

@@ -1,4 +1,4 @@
-"""Depth, ids and triangles from a rendered target."""
+"""Kernels that read depth, ids and triangles from a rendered target."""
 
 from __future__ import annotations
 
