@@ -33,7 +33,8 @@ class ShadowCasters:
     members: NDArray[np.int64]
     """Group of every instance, -1 for static ones, shape [I]."""
     local: NDArray[np.float64]
-    """A capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7]; NaN for no mesh."""
+    """Capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7] [m]; NaN without a
+    mesh."""
 
     def blockers(
         self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
