@@ -158,8 +158,7 @@ def render_frame(
     light: LightMode = "baked",
     stand_ins: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Return the images of one camera: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H,
-    W].
+    """Return the images of one camera: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W].
 
     To render many images, create a `Replay` once and pass it, or call `Replay.frames`. A replay has its own settings
     for ``assets``, ``people``, ``light`` and ``stand_ins``.

@@ -54,8 +54,9 @@ class PluginError(H3DataError):
 
 
 class JobStopError(H3DataError):
-    """Error that stops a whole job, for example when its budget is used up: finished episodes are kept, and no other
-    episode starts."""
+    """Error that stops a whole job, for example when its budget is used up.
+
+    Finished episodes are kept, and no other episode starts."""
 
 
 class UntrustedNameError(InputError):

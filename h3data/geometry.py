@@ -316,8 +316,9 @@ def pose_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the product of poses ``a`` and ``b``, shape [..., 7]: the pose ``b``, given in frame ``a``, in the parent
-    frame of ``a``."""
+    """Return the product of poses ``a`` and ``b``, shape [..., 7].
+
+    The result is the pose ``b``, given in frame ``a``, expressed in the parent frame of ``a``."""
     if _is_single(a) and _is_single(b):
         (px, py, pz, *turn), (*offset, bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
         x, y, z = _rotated(turn, offset)

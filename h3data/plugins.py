@@ -44,8 +44,7 @@ _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
 
 @contextmanager
 def names_from_data() -> Iterator[None]:
-    """Mark names in this context as read from a file, so that only built-in, installed and trusted ones are looked
-    up."""
+    """Mark names in this context as read from a file, so that only built-in, installed and trusted ones are looked up."""
     token = _FROM_DATA.set(True)
     try:
         yield
@@ -59,8 +58,7 @@ def come_from_data() -> bool:
 
 
 def trust(*modules: str) -> None:
-    """Allow files to name objects of these modules and their submodules, in this process and in processes that it
-    starts.
+    """Allow files to name objects of these modules and their submodules, in this process and in processes that it starts.
 
     A module that the user names (``Registry.get`` outside `names_from_data`) becomes trusted too.
     """
@@ -180,8 +178,10 @@ def _is_there(reference: str) -> bool:
 
 
 def missing_part(fault: ModuleNotFoundError) -> str:
-    """Return the name of the h3data package that an import did not find; empty if the missing module is not part of
-    h3data."""
+    """Return the name of the h3data package that an import did not find.
+
+    Empty if the missing module is not part of h3data.
+    """
     package = (fault.name or "").partition(".")[0]
     return package if package.startswith("h3data_") and not _is_there(package) else ""
 
@@ -325,8 +325,7 @@ class Registry(Generic[T]):
         )
 
     def missing(self) -> dict[str, str]:
-        """Return the packages of h3data that are not installed, by the names of the entry points that they would
-        add."""
+        """Return the packages of h3data that are not installed, by the names of the entry points that they would add."""
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()

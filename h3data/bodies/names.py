@@ -92,8 +92,7 @@ def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
 
 
 def walk_facts(models: Iterable[str]) -> dict[str, Any]:
-    """Return entries for a recording's info about the gaits that stored body names refer to, by name of the
-    attachment."""
+    """Return entries for a recording's info about the gaits that stored body names refer to, by name of the attachment."""
     return {
         name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
         for name, data in walk_attachments(models).items()

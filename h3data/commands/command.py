@@ -92,8 +92,7 @@ ShareScenesFlag = Annotated[
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marker of a text option that names an entry of a registry: its help lists the names, including those of
-    plug-ins."""
+    """Marker of a text option that names an entry of a registry: its help lists the names, including those of plug-ins."""
 
     names: Callable[[], Iterable[str]]
     """Function that returns the names. It is called only when the command is chosen: finding plug-ins takes some
@@ -168,8 +167,10 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """Return the path of an output file that ends in ``suffix``; raise an `InputError` if it exists and ``force`` is
-    not set."""
+    """Return the path of an output file that ends in ``suffix``.
+
+    Raise an `InputError` if it exists and ``force`` is not set.
+    """
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
@@ -218,8 +219,7 @@ def open_episode(path: AnyPath) -> Recording:
 
 
 def recording_stem(path: Path) -> str:
-    """Return the name of a recording's file without its suffixes, such as ``my_session`` for
-    ``my_session.gfx_replay.json.gz``."""
+    """Return a recording's file name without suffixes: ``my_session`` for ``my_session.gfx_replay.json.gz``."""
     name = path.name
     # from the last suffix inwards
     for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):

@@ -204,8 +204,10 @@ def split_list(text: str) -> list[str]:
 
 
 def known_tasks(command: type[Command]) -> tuple[str, ...]:
-    """Return the names that the argument ``task`` of a command accepts, except ``module:Class``; empty without such an
-    argument."""
+    """Return the names that the argument ``task`` of a command accepts, except ``module:Class``.
+
+    The result is empty if the command has no such argument.
+    """
     marks = (mark for o in options_of(command) if o.field == "task" for mark in o.metadata if isinstance(mark, NameOf))
     return tuple(name for mark in marks for name in mark.names())
 
@@ -233,8 +235,7 @@ def _few(tasks: list[str]) -> str:
 
 
 def python_value(option: Option, value: Any) -> Any:
-    """Return the value of an option from a Python value: one value or several, paths as text, and objects by their
-    names.
+    """Return the value of an option from a Python value: one value or several, paths as text, and objects by their names.
 
     Raises:
         InputError: it is not of the option's type.

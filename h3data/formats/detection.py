@@ -88,8 +88,7 @@ def detect(path: str | os.PathLike[str]) -> Format:
 
 
 def format_by_beginning(head: bytes) -> Format:
-    """Return the built-in format of a file that starts with ``head``, or `JSON` if the format depends on its
-    members."""
+    """Return the built-in format of a file that starts with ``head``, or `JSON` if the format depends on its members."""
     return _registered(_by_beginning(head))
 
 

@@ -52,8 +52,10 @@ class GlbChunk:
         return len(self.accessors) - 1
 
     def vectors(self, values: NDArray[Any], *, limits: bool = False) -> int:
-        """Append float32 vectors per vertex, shape [V, 2..4]; return their accessor. glTF requires ``limits`` for
-        positions."""
+        """Append float32 vectors per vertex, shape [V, 2..4].
+
+        Return their accessor. glTF requires ``limits`` for positions.
+        """
         values = values.astype("<f4")
         more = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if limits else {}
         return self.array(values, f"VEC{values.shape[1]}", FLOAT32, VERTICES, **more)

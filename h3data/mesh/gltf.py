@@ -130,8 +130,10 @@ class GltfFile:
         ]
 
     def instances(self, index: int) -> NDArray[np.float64]:
-        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame; a single matrix if it
-        is not instanced."""
+        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame.
+
+        The result is a single matrix if the node is not instanced.
+        """
         where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
         record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
         found = {

@@ -34,8 +34,10 @@ class Look:
 
 
 class GltfMaterials:
-    """Materials of one document. Materials with unreadable images have their colour factor alone, and one warning
-    reports all such images."""
+    """Materials of one glTF document.
+
+    Materials with unreadable images have their colour factor alone, and one warning reports all such images.
+    """
 
     def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
         self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where

@@ -77,8 +77,7 @@ def is_file(path: Path) -> bool:
 
 
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation [3, 3] from a file's frame to h3data's: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md
-    5.1)."""
+    """Return the rotation [3, 3] from a file's frame to h3data's: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero

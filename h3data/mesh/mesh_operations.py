@@ -13,8 +13,10 @@ from h3data.mesh.mesh import Mesh, Texture
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Join meshes (at least one) into one. The result has normals only if every part has them; textures are always
-    included."""
+    """Join meshes (at least one) into one.
+
+    The result has normals only if every part has them; textures are always included.
+    """
     if len(meshes) == 1:
         return meshes[0]
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])

@@ -31,8 +31,10 @@ def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
 
 
 def png_pixels(data: bytes | memoryview) -> NDArray[np.uint8]:
-    """Return the texels [H, W, 4] of a PNG. Raises `ValueError` if it is not a PNG, damaged, or larger than
-    `MAX_PX`."""
+    """Return the texels [H, W, 4] of a PNG.
+
+    Raises `ValueError` if it is not a PNG, damaged, or larger than `MAX_PX`.
+    """
     from PIL import Image
 
     try:

@@ -117,8 +117,10 @@ class Profile:
         return self._measured(recording, notes, self._computed(recording, notes))
 
     def measure_many(self, recordings: Sequence[Recording]) -> list[EpisodeMetrics | UnmeasurableError]:
-        """Compute all metrics of the profile for several recordings; a recording that cannot be measured gets the
-        reason instead."""
+        """Compute all metrics of the profile for several recordings.
+
+        A recording that cannot be measured gets the reason instead.
+        """
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which

@@ -86,8 +86,7 @@ def find_profile(name: str, task: str | None = None) -> Profile:
 
 
 def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> Profile:
-    """Return the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its
-    task.
+    """Return the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its task.
 
     A task that no profile names gets the profile ``task``. ``info["profile"]`` may be ``module:name`` of a
     module that the user has trusted (`h3data.plugins.trust`, ``--trust``).

@@ -23,8 +23,10 @@ class UnmeasurableError(InputError):
 
 
 class MissingColumnsError(UnmeasurableError):
-    """Error about a recording that lacks the data of every requested metric; the message lists the data that each
-    metric needs."""
+    """Error about a recording that lacks the data of every requested metric.
+
+    The message lists the data that each metric needs.
+    """
 
     def __init__(self, episode_id: str, needs: Mapping[str, Sequence[str]]) -> None:
         self.needs = {name: tuple(columns) for name, columns in needs.items()}

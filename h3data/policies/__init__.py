@@ -1,5 +1,4 @@
-"""Interface of policies, which decide for an agent: their observations and their possible actions (h3data docs
-extending)."""
+"""Interface of policies, which decide for an agent: their observations and their possible actions (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, from which an environment can provide the same
-observations.
+"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, by which an environment reproduces observations.
 
 LeRobot's own metadata state the size of states and images. They do not state the meaning of the numbers in a state, the
 field of view of a camera, the rules, or the homes. A policy with other observations than in training fails without a

@@ -67,8 +67,7 @@ def slipped_steps(recording: Recording) -> int:
 
 
 def remark_lines(recording: Recording) -> list[str]:
-    """Return lines of text with the problems that players have reported, and their answers to the question at the end
-    of the session."""
+    """Return lines of text with problems that players reported, and their answers to the question at the session's end."""
     hitl = recording.episode.info.get("hitl")
     lines = []
     for remark in hitl.get("remarks", ()) if isinstance(hitl, dict) else ():

@@ -244,8 +244,7 @@ class Recording:
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
-        """Return a Rerun viewer or a video of the recording for display in a notebook
-        (`h3data_viewers.notebook.show`)."""
+        """Return a Rerun viewer or a video of the recording for display in a notebook (`h3data_viewers.notebook.show`)."""
         return notebook().show(self, viewer, **options)
 
     def _repr_html_(self) -> str:

@@ -31,8 +31,7 @@ class Scan(NamedTuple):
     """Elevation of each laser above the horizon [rad]."""
 
     def met(self) -> NDArray[np.float32]:
-        """Return the distances at which the rays hit something, in the shape of `ranges` [m], infinite where a ray hit
-        nothing."""
+        """Return distances at which rays hit something, in the shape of `ranges` [m], infinite where a ray hit nothing."""
         # a thousandth less, because float32 rounds the greatest distance
         return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
 

@@ -228,8 +228,9 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
 
 
 def local(path: str | os.PathLike[str] | RemotePath) -> Path:
-    """Return the local path of a file; raise an error for a file in an object store, as some files are only written
-    locally.
+    """Return the local path of a file.
+
+    Files in an object store raise an error, as some files can only be written locally.
 
     Raises:
         InputError: the path is a URI that is not on the local disk.
@@ -254,8 +255,10 @@ def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
 
 
 def sizes_below(folder: AnyPath) -> dict[str, int]:
-    """Return the sizes [bytes] of all files below a folder by relative path, sorted; empty if the folder does not
-    exist."""
+    """Return the sizes [bytes] of all files below a folder by relative path, sorted.
+
+    The result is empty if the folder does not exist.
+    """
     if isinstance(folder, Path):
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}

@@ -126,8 +126,10 @@ class Camera:
         return self.to_pixels(p), p[:, 2] if self.is_planar else np.linalg.norm(p, axis=1)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pixel coordinates [N, 2] of points [N, 3] in the camera's frame; as `project` does for world
-        points."""
+        """Return the pixel coordinates [N, 2] of points [N, 3] in the camera's frame.
+
+        `project` does the same for world points.
+        """
         x, y, z = points.T
         if self.projection == "perspective":
             # dividing by a negative z would mirror points behind the eye into the picture
@@ -245,8 +247,10 @@ def equirectangular(
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
 ) -> Camera:
-    """Return a camera for panoramas of 360 degrees across and 180 degrees down; ``height`` defaults to half the
-    width."""
+    """Return a camera for panoramas of 360 degrees across and 180 degrees down.
+
+    ``height`` defaults to half the width.
+    """
     height = height or width // 2
     fx, fy = width / (2 * np.pi), height / np.pi
     return _centred(width, height, fx, fy, "equirectangular", name, pose, hidden_layers)

@@ -26,8 +26,7 @@ class LinkPoses:
         self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
 
     def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:
-        """Return world matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4,
-        4]."""
+        """Return world matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""
         rows = np.arange(self._steps) if steps is None else np.arange(self._steps)[steps]
         blocks = rows // BLOCK_STEPS
         numbers = np.unique(blocks)

@@ -254,8 +254,7 @@ class PosedRecording:
 
     # --- poses --------------------------------------------------------------------------------------------------------
     def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """Return world matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4,
-        4].
+        """Return world matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4, 4].
 
         For a long recording the result is large, so request a few steps at a time, or one link (`link_track`).
         """
@@ -277,8 +276,10 @@ class PosedRecording:
         return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
 
     def robot_joints(self, agent: int, robot: Robot) -> NDArray[np.floating]:
-        """Return joint positions of a robot at all steps for rendering, shape [T, J] [rad or m]; legs may trot
-        (``stepping``)."""
+        """Return joint positions of a robot at all steps for rendering, shape [T, J] [rad or m].
+
+        Legs may trot (``stepping``).
+        """
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
             return trot(robot, base, joints, heights=self.heights)
@@ -298,8 +299,10 @@ class PosedRecording:
         return {}
 
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """Return world matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4]; NaN where it was
-        absent."""
+        """Return world matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4].
+
+        NaN where it was absent.
+        """
         rows = np.arange(len(self)) if steps is None else np.asarray(steps)
         track = self._tracks[index]
         if isinstance(track, BodyTrack):

@@ -14,8 +14,7 @@ from h3data.scene.articulation import handle_points, joints_of
 
 
 def robot_rig(robot: Robot) -> dict[str, Any]:
-    """Return the base frame, number of joints and links of a robot, in the form that ``web/src/scene/robot.ts``
-    reads."""
+    """Return the base frame, number of joints and links of a robot, in the form that ``web/src/scene/robot.ts`` reads."""
     links = [
         {
             "name": link.name,

@@ -73,8 +73,7 @@ class Sight:
         return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
     def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], from the panorama there
-        (`around`)."""
+        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], from the panorama there (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
         # 10 cm of slack: a point on a surface would hide itself
@@ -112,8 +111,9 @@ class Fan:
 
 
 class Beam:
-    """Computation of free distances along beams with unit ``axes`` [D, 3], tested against the surface points of pixels
-    with ``rays`` [D, P, 3] (z = 1)."""
+    """Computation of free distances along beams with unit ``axes`` [D, 3].
+
+    Beams are tested against the surface points of pixels with ``rays`` [D, P, 3] (z = 1)."""
 
     def __init__(self, rays: Array, axes: Array, focal_px: float) -> None:
         length = np.linalg.norm(rays, axis=-1)
@@ -124,8 +124,10 @@ class Beam:
         """Pixels on the axis or next to it."""
 
     def free(self, depth: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
-        """Return the free length [D] [m] of each beam, at most ``max_m``, given z-depth [D, P]; points within
-        `CLEARANCE_M` of the axis obstruct."""
+        """Return the free length [D] [m] of each beam, at most ``max_m``, given z-depth [D, P].
+
+        Points within `CLEARANCE_M` of the axis obstruct.
+        """
         blocks = self._on_axis | (depth * self._across < CLEARANCE_M)
         first = np.where(blocks, depth * self._along, np.inf).min(1)
         return np.clip(first - CLEARANCE_M, 0.0, max_m)

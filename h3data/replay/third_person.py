@@ -103,8 +103,7 @@ def third_person_at(
     height: int = 480,
     around_s: float = FRAMING.around_s,
 ) -> Camera:
-    """Return the camera of `third_person` at one step, computed from the steps around it in 0.17 s, for recordings of
-    any length.
+    """Return the camera of `third_person` at one step, computed from the surrounding steps in 0.17 s.
 
     The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes. With
     ``around_s=0`` it is the best view of this step alone, computed in 0.02 s, for single images.

@@ -44,8 +44,7 @@ def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
 
 
 def flight_rectangle(row: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Return the plan rectangle ``x0 z0 x1 z1`` of the ramp in a row of a table of heights, without the landings
-    [m]."""
+    """Return the plan rectangle ``x0 z0 x1 z1`` of the ramp in a row of a table of heights, without the landings [m]."""
     low, high = sorted((float(row[START]), float(row[END])))
     x0, z0, x1, z1 = row[:4].tolist()
     return (low, z0, high, z1) if row[AXIS] == 0 else (x0, low, x1, high)
@@ -176,8 +175,7 @@ def _measured(heights: NDArray[np.float64], floor_y: float, points: ArrayLike, w
 def floor_heights(
     heights: NDArray[np.float64], floor_y: float, points: ArrayLike, *, treads: bool = False
 ) -> NDArray[np.float64]:
-    """Return heights [...] [m] of the floor at points (x, z) [..., 2], with stairs as ramps, or as steps with
-    ``treads``.
+    """Return heights [...] [m] of the floor at points (x, z) [..., 2], with stairs as ramps, or as steps with ``treads``.
 
     Args:
         heights: A table of heights [K, 10] (`room_heights`).

@@ -67,8 +67,7 @@ def named_scenes(
 
 
 def is_builtin_name(text: str) -> bool:
-    """Return whether a text names generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow
-    ``#``."""
+    """Return whether a text names generated homes (``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):
         # a file of this name comes first, as for everything that takes a path or a name
         return not Path(text).exists()
@@ -96,8 +95,9 @@ def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str
 
 
 def open_scene_path(path: str) -> Any:
-    """Return the scene in a file, or the collection if it holds several; None if the path does not have the suffix of a
-    scene file.
+    """Return the scene in a file, or the collection if it holds several.
+
+    The result is None if the path does not have the suffix of a scene file.
 
     Raises:
         SceneError, FormatError: the file cannot be read.

@@ -51,8 +51,7 @@ def passable(scene: Scene, free: FreeSpace) -> Scene:
 
 
 def outlines(scene: Scene, k: int, positions: ArrayLike) -> list[Polygon]:
-    """Return outlines on the floor (x, z) [m] of the parts that joint ``k`` moves, with all joints at ``positions``
-    [J]."""
+    """Return outlines on the floor (x, z) [m] of the parts that joint ``k`` moves, with all joints at ``positions`` [J]."""
     motion = joints_of(scene).motions(positions)[k]
     found = (shape_footprint(shape, motion @ matrix, -np.inf, np.inf) for matrix, shape in _shapes(scene, k))
     return [outline for outline in found if outline is not None]

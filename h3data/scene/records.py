@@ -113,8 +113,7 @@ class Instance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
-    """Straight flight of stairs in a room, whose floor rises from `Room.floor_y` to ``top_y`` and is level at both
-    ends."""
+    """Straight flight of stairs in a room, whose floor rises from `Room.floor_y` to ``top_y`` and is level at both ends."""
 
     axis: Literal[0, 1]
     """Plan axis along which the stairs rise: 0 = x, 1 = z."""

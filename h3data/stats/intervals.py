@@ -55,8 +55,10 @@ def bootstrap_interval(
 def bootstrap_intervals(
     columns: Sequence[ArrayLike], *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> list[tuple[float, float]]:
-    """Return the `bootstrap_interval` of each of several columns [E]; columns with the same number of values share
-    their samples."""
+    """Return the `bootstrap_interval` of each of several columns [E].
+
+    Columns with the same number of values share their samples.
+    """
     check_confidence(confidence)
     defined = [_defined(values) for values in columns]
     means: dict[int, NDArray[np.float64]] = {}

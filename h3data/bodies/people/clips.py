@@ -85,8 +85,7 @@ class Clip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gaits:
-    """Walking gait of one body: its legs and the gait parameters fitted to them
-    (`h3data.bodies.people.gait.PARAMETERS`)."""
+    """Walking gait of one body: its legs and the gait parameters fitted to them (`h3data.bodies.people.gait.PARAMETERS`)."""
 
     legs: Legs
     height_m: float

@@ -128,8 +128,10 @@ class Humanoid:
 
     @cached_property
     def clips(self) -> tuple[Clip, ...]:
-        """Motion clips of the body: standing first, then the walks, the jog and the turns on the spot; computed at
-        first use (30 ms)."""
+        """Motion clips of the body: standing first, then the walks, the jog and the turns on the spot.
+
+        They are computed at first use (30 ms).
+        """
         return make_clips(self.gaits)
 
     @property
@@ -183,8 +185,9 @@ class Humanoid:
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] for walking at speeds [T] [m/s]; above 2
-        m/s, for jogging.
+        """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] for walking at speeds [T] [m/s].
+
+        Above 2 m/s, the pose is of jogging.
 
         Unlike `clip_pose`, the pose is computed exactly instead of read from a table.
 
@@ -236,8 +239,7 @@ class Humanoid:
         return apply_skin(skin.points, matrices)
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-        """Yield slices of the joint frames [T, 55, 4, 4] with the skinned vertices [t, V, 3] [m], for long
-        recordings."""
+        """Yield slices of the joint frames [T, 55, 4, 4] with the skinned vertices [t, V, 3] [m], for long recordings."""
         return skin_chunks((self.lod if lod else self.full).skin.points, joint_matrices @ self.inverse_bind)
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
@@ -294,8 +296,7 @@ class Humanoid:
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
-        """Return whether the simplified mesh is accurate enough for a camera of this focal length [pixels] at this
-        distance [m]."""
+        """Return whether the simplified mesh is accurate enough for a camera of a focal length [px] at a distance [m]."""
         # the height in the picture, focal * height / distance, without dividing by a distance of 0
         # 220.0: height in a picture [px] up to which a person is drawn with the light mesh, whose error (4
         # mm) is then below half a pixel

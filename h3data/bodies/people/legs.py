@@ -100,8 +100,9 @@ class SolvedLegs:
 
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
-    """Solve two-bone legs from the hips to the ankles in closed form, with knees that point in the direction of the
-    feet and slightly outwards."""
+    """Solve two-bone legs from the hips to the ankles in closed form.
+
+    Knees point in the direction of the feet and slightly outwards."""
     from h3data.bodies.people.kernels.legs import write_all_legs
 
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))

@@ -1,5 +1,4 @@
-"""Walking with planted feet along any track of the root, with the gaits of a body
-(`h3data.bodies.people.kernels.planted`).
+"""Walking with planted feet along any track of the root, with the gaits of a body (`h3data.bodies.people.kernels.planted`).
 
 `planted_states` processes a track once. Any row of it can then be posed alone (`pose_planted`). As the track determines
 the motion, recordings of people store only their roots.

@@ -1,5 +1,4 @@
-"""People that are generated from a seed, with random shapes between those of the built-in bodies, clothes, skin and
-hair.
+"""People that are generated from a seed, with random shapes between those of the built-in bodies, clothes, skin and hair.
 
 ``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person
 as long as the built-in bodies and ``shape_space.toml`` stay as they are. All built-in bodies have one base and arrays

@@ -107,8 +107,7 @@ class ReachPoses(NamedTuple):
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], with the feet as in standing, or the
-    reason for failure.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], or the reason for failure.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.
@@ -264,8 +263,7 @@ class ReachSolver:
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
-        """Return a valid point [3] [m] near ``target``, found on lines from the nearest valid table points towards
-        it."""
+        """Return a valid point [3] [m] near ``target``, found on lines from the nearest valid table points towards it."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
         starts = self.valid_points[np.argsort(gap)[: self.tried]]

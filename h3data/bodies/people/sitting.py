@@ -79,8 +79,7 @@ ahead, up and outwards."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sitting:
-    """Motion of one body that sits down on a seat of one height, while its agent root stays at the standing
-    position."""
+    """Motion of one body that sits down on a seat of one height, while its agent root stays at the standing position."""
 
     body: Humanoid
     seat_m: float
@@ -184,8 +183,7 @@ class Sitting:
         return quats
 
     def fits(self, depth_m: float) -> bool:
-        """Return whether the hips are over a seat of this depth [m] and the back is in front of the seat's backrest or
-        wall."""
+        """Return whether the hips are over a seat of this depth [m] and the back is in front of the seat's backrest or wall."""
         return self.edge_m - self.back_m <= depth_m + SINK_M
 
 
@@ -228,8 +226,9 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
 
 @lru_cache(maxsize=256)
 def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
-    """Return the motion by which a body sits down on a seat at a height above the floor [m]; computing it takes about
-    10 ms, and it is cached.
+    """Return the motion by which a body sits down on a seat at a height above the floor [m].
+
+    Computing it takes about 10 ms, and it is cached.
 
     Raises:
         InputError: the seat is too high or too low for the legs of this body.

@@ -164,8 +164,7 @@ def _operator(
 
 
 def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
-    """Return skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4,
-    4].
+    """Return skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4, 4].
 
     The leading axes are frames, or worlds and frames; the product is computed in chunks of frames. The memory is
     vertex-major if one chunk (`CHUNK_FRAMES`) holds all frames, else frame-major.

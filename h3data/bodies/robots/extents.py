@@ -13,16 +13,14 @@ from h3data.scene.shape_bounds import shape_bounds
 
 
 def resting_bounds(robot: Robot) -> NDArray[np.float64]:
-    """Return the lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root
-    frame."""
+    """Return the lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
     frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
     bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
     return np.array(bounds).reshape(-1, 2, 3)
 
 
 def resting_hull(robot: Robot) -> Array:
-    """Return positions along x [H] [m] of discs of the base's radius that cover the whole resting robot and its base
-    discs."""
+    """Return positions along x [H] [m] of discs of the base's radius that cover the whole resting robot and its base discs."""
     bounds, radius = resting_bounds(robot), robot.base_radius_m
     back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
     # discs cover a radius beyond their places
@@ -36,6 +34,5 @@ def resting_hull(robot: Robot) -> Array:
 
 
 def row_radius(places: Array, points: Array) -> float:
-    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2]
-    [m]."""
+    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2] [m]."""
     return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

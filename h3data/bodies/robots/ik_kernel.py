@@ -192,8 +192,7 @@ def solve_targets(
     q: NDArray[np.float64],
     errors: NDArray[np.float64],
 ) -> None:
-    """Improve joint positions ``q`` [N, J] so that ``point`` [3] of the last link of a chain meets ``targets`` [N, 4,
-    4].
+    """Improve joint positions ``q`` [N, J] so that ``point`` [3] of the last link of a chain meets ``targets`` [N, 4, 4].
 
     The arrays of the chain are described in `h3data.bodies.robots.kinematics.link_frames`. Only the joints ``free``
     move. ``errors`` [N, 2] receives the remaining distance [m] and angle [rad].

@@ -140,8 +140,10 @@ class Robot:
 
     @cached_property
     def climbing_length_m(self) -> float:
-        """Distance between front and hind feet, over which the base pitches on stairs [m]; 0 for robots that do not
-        climb."""
+        """Distance between front and hind feet, over which the base pitches on stairs [m].
+
+        It is 0 for robots that do not climb.
+        """
         if not self.climbs_stairs:
             return 0.0
         if not self.legs:

@@ -79,8 +79,9 @@ def trot(
     *,
     heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
-    """Return joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they
-    are.
+    """Return joint positions [T, J] with the legs of a robot stepping along its base track.
+
+    Other joints stay as they are.
 
     Args:
         robot: A robot; one without legs gets its joint positions back.
@@ -204,8 +205,7 @@ def _feet(
 
 
 def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float64]:
-    """Return the hip roll, hip pitch and knee [..., 3] [rad] that bring a foot to points [..., 3] [m] in the URDF base
-    frame.
+    """Return the hip roll, hip pitch and knee [..., 3] [rad] that bring a foot to points [..., 3] [m] in the URDF base frame.
 
     The solution is in closed form: the roll turns the plane of the leg through the point, and the other angles are
         those of a triangle. Points out of reach are approached along the line from the hip, and angles are clipped to

@@ -1,7 +1,5 @@
 """Per-row quantities of robot and person by the paper's rules: distance, facing, found, backing up and yielding.
 
-
-
 This module holds the definition of "found" for the paper's metrics; habitat-lab's own definition is in
 `h3data_habitat.metrics.stats`.
 """

@@ -1,5 +1,4 @@
-"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be in any
-folder."""
+"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be in any folder."""
 
 from __future__ import annotations
 
@@ -13,8 +12,9 @@ HANDLE = "handle:"
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
-    """Return the file that defines the template ``name``, preferably a config instead of a mesh; None if there is no
-    file.
+    """Return the file that defines the template ``name``, preferably a config instead of a mesh.
+
+    The result is None if there is no file.
 
     Raises:
         SceneError: several files match; the message lists them.

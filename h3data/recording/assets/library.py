@@ -57,8 +57,7 @@ class AssetLibrary:
         return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
 
     def with_own_folder(self, recorded: object) -> AssetLibrary:
-        """Return a library that also searches a replay's own asset folder (``info["source"]["assets"]``), if it still
-        exists.
+        """Return a library that also searches a replay's own asset folder (``info["source"]["assets"]``), if it still exists.
 
         The folder is searched after the roots, for paths that start with its name; no other files next to the replay
         are read.

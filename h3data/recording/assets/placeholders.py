@@ -93,8 +93,7 @@ def striped_box(
     stripes: int = 3,
     share: float = 0.35,
 ) -> Mesh:
-    """Return a box in ``color`` whose six faces each have ``stripes`` magenta stripes that cover the share ``share`` of
-    the face."""
+    """Return a box in ``color`` with ``stripes`` magenta stripes on each face, which cover the share ``share`` of it."""
     middles = (np.arange(stripes) + 0.5) / stripes * 2 - 1
     edges = np.unique(np.concatenate([[-1, 1], middles - share / stripes, middles + share / stripes]))
     # one face of the unit cube at +z, cut along x; the others are rotations of it

@@ -15,8 +15,7 @@ from h3data.scene.kinds import KINDS
 # Episodes of a run often share their home.
 @lru_cache(maxsize=4)
 def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
-    """Return the assets of a home, which refer to the attachment ``scene.glb``, and its objects as bodies that never
-    move."""
+    """Return the assets of a home, which refer to the attachment ``scene.glb``, and its objects as bodies that never move."""
     assets = tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets)
     bodies = tuple(
         Body(

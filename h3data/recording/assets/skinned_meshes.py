@@ -36,8 +36,7 @@ class SkinnedMesh:
     """Transform from the file's frame to h3data's, 4x4."""
 
     def vertices(self, root: Array, bones: Array, names: Sequence[str]) -> NDArray[np.float32]:
-        """Return world vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4,
-        4].
+        """Return world vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
 
         ``names`` holds the name of the joint that each bone moves; a joint without a bone follows the root. Bones are
         world frames without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, where F

@@ -18,8 +18,7 @@ saving per row [bytes] above which a longer chunk is used (62 for a looping clip
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the first row and the row after the last of each interval of 10 s, for increasing times ``times_ns`` [T]
-    [ns].
+    """Return the first row and the row after the last of each interval of 10 s, for increasing times ``times_ns`` [T] [ns].
 
     Without rows there is one empty interval.
     """
@@ -83,8 +82,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Return number and span of each skill that started before step ``stop``, without those already returned
-        complete.
+        """Return number and span of each skill that started before step ``stop``, without those already returned complete.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

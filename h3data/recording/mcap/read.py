@@ -187,8 +187,7 @@ def _plain(message: Any) -> dict[str, Any]:
 def columns_of(
     log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of all topics: exactly ``steps`` rows from row ``first`` on, or if None, all consecutive
-    rows."""
+    """Return the columns of all topics: exactly ``steps`` rows from row ``first`` on, or if None, all consecutive rows."""
     parts: list[dict[str, NDArray[Any]]] = []
     for topic, message in TOPIC_MESSAGES.items():
         channel = log.channel_of(f"/h3/{topic}")

@@ -1,5 +1,4 @@
-"""Attachments that the logs of a folder share, stored once in ``<folder>/h3/files`` and named in each log by their
-hash."""
+"""Attachments that the logs of a folder share, stored once in ``<folder>/h3/files`` and named in each log by their hash."""
 
 from __future__ import annotations
 

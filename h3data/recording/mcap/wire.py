@@ -167,8 +167,9 @@ def decode_messages(
     descriptor: bytes,
     message: str,
 ) -> dict[str, NDArray[Any]]:
-    """Decode the messages of one topic into columns, and the row numbers under ``""``; only ``wanted`` columns if
-    given.
+    """Decode the messages of one topic into columns, and the row numbers under ``""``.
+
+    If ``wanted`` is given, only these columns are decoded.
 
     A single `np.frombuffer` decodes them if all messages have the length and tags of the layout; otherwise each is
     decoded as a protobuf object.

@@ -263,8 +263,10 @@ class RecordingWriter:
         return self.path
 
     def abort(self, *, keep: bool = True) -> None:
-        """Stop writing; the rows so far stay in ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is
-        False."""
+        """Stop writing before the recording is complete.
+
+        The rows so far stay in ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False.
+        """
         if self.closed:
             return
         try:

@@ -79,8 +79,9 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return the table with its columns cast to the types of ``schema``; columns that are missing in either are
-    unchanged.
+    """Return the table with its columns cast to the types of ``schema``.
+
+    Columns that are missing in either are unchanged.
 
     Raises:
         ValueError: a column of the schema has nulls.

@@ -212,8 +212,7 @@ class Dataset(DatasetFolder):
 
     # --- as tables ------------------------------------------------------------------------------------------------
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
-        """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including
-        LeRobot's).
+        """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
 
         Values have their stored form: a vector is a fixed-size list of the declared width, and narrower episodes are
             padded. The

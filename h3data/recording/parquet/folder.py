@@ -63,8 +63,10 @@ class EpisodeRows(Sequence[dict[str, Any]]):
 
 
 class DatasetFolder:
-    """Committed episodes of a dataset folder. Files are read lazily, and a folder can be opened while a writer is
-    active."""
+    """Committed episodes of a dataset folder.
+
+    Files are read lazily, and a folder can be opened while a writer is active.
+    """
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).

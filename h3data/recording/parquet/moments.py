@@ -112,8 +112,10 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
 
 
 def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """Return min, max, mean, std, count and quantiles as LeRobot stores them; 0 for components without finite
-    values."""
+    """Return min, max, mean, std, count and quantiles as LeRobot stores them.
+
+    The values are 0 for components without finite values.
+    """
     any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
     if m.quantiles is not None:

@@ -48,8 +48,9 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
 
 
 def to_pandas(table: pa.Table) -> pandas.DataFrame:
-    """Convert an Arrow table to a pandas frame: scalars as NumPy columns, vectors in the same Arrow memory
-    (``frame[name].list[0]``)."""
+    """Convert an Arrow table to a pandas frame.
+
+    Scalars become NumPy columns, and vectors stay in the same Arrow memory (``frame[name].list[0]``)."""
     try:
         import pandas
     except ImportError:
@@ -84,8 +85,7 @@ def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, t
 
 
 def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -> pa.Schema:
-    """Return the names and declared types of the columns of the data files: of all columns, or of ``columns`` in their
-    order.
+    """Return the names and declared types of all columns of the data files, or of ``columns`` in their order.
 
     Raises:
         InputError: there is no such column, or its width is 0 in the whole dataset, so that it is not stored.

@@ -1,5 +1,7 @@
-"""Files that describe episodes to be simulated; the group ``h3data.episode_files`` provides their readers and
-writers."""
+"""Files that describe episodes to be simulated.
+
+The group ``h3data.episode_files`` provides their readers and writers.
+"""
 
 from __future__ import annotations
 

@@ -42,8 +42,9 @@ class _Proposition(msgspec.Struct):
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other
-    episodes.
+    """Return the placements that an episode of PARTNR requires, in the order of its propositions.
+
+    The result is None for other episodes.
 
     If several objects satisfy a proposition, the first ones that no other proposition needs are chosen. The temporal
     order that an episode requires is ignored.

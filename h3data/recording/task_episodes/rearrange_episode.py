@@ -166,8 +166,7 @@ def object_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
 
 
 def goal_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
-    """Return the pose (pose7) [7] in the world of the goal of every target object, by handle, in the order of the
-    targets."""
+    """Return the pose (pose7) [7] in the world of the goal of every target object, by handle, in the order of the targets."""
     return {handle: _pose(matrix, f"the goal of {handle}") for handle, matrix in episode.targets.items()}
 
 

@@ -1,5 +1,4 @@
-"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples again at each
-reset.
+"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples again at each reset.
 
 Habitat stores neither the start poses of the two agents nor the waypoints of the person (spec/habitat.md 1.2). h3data
 stores them under ``info["h3data"]``, which Habitat ignores, so both programs can use the same file.

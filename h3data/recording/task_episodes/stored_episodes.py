@@ -1,5 +1,7 @@
-"""Complete episodes in Habitat's files; values that Habitat would sample are in ``info["h3data"]``, which it
-ignores."""
+"""Complete episodes in Habitat's files.
+
+Values that Habitat would sample are in ``info["h3data"]``, which it ignores.
+"""
 
 from __future__ import annotations
 

@@ -60,8 +60,7 @@ class Drawing:
 
 @dataclass(eq=False)
 class Drawings:
-    """Image buffers of one thread: one for each static camera, and one for each image size, which all moving cameras
-    share."""
+    """Image buffers of one thread: one for each static camera, and one for each image size, which all moving cameras share."""
 
     still: dict[bytes, Drawing] = field(default_factory=dict)
     moving: dict[tuple[int, int], Drawing] = field(default_factory=dict)

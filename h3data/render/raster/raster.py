@@ -1,5 +1,6 @@
-"""The rasteriser: from clusters of triangles to a nearness buffer and a visibility buffer. One thread per image, no
-GIL.
+"""The rasteriser: from clusters of triangles to a nearness buffer and a visibility buffer.
+
+Each image is rendered by one thread without the GIL.
 
 Stages of one image:
 

@@ -67,8 +67,7 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
 
 @kernel_part()
 def draw_clusters(geometry, cut_first, view, target, order):
-    """Draw the clusters in the given order, without clusters that cross the near plane or have holes (``cut_first`` >=
-    0)."""
+    """Draw the clusters in the given order, without clusters that cross the near plane or have holes (``cut_first`` >= 0)."""
     stride = target.inv_z.shape[1]
     row_bytes = np.uintp(stride * 4)
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
@@ -145,8 +144,10 @@ def has_near_plane(view):
 
 @kernel_part()
 def draw_cut(geometry, cut_first, view, target, order):
-    """Draw the clusters that cross the near plane, which `draw_clusters` skips; their triangles are clipped and filled
-    one by one."""
+    """Draw the clusters that cross the near plane, which `draw_clusters` skips.
+
+    Their triangles are clipped and filled one by one.
+    """
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)

@@ -192,8 +192,10 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
-    """Return 1 for each tile of an image whose capsules have changed, uint8 [tiles]; shape [0] if there are no capsules
-    before and after."""
+    """Return 1 for each tile of an image whose capsules have changed, uint8 [tiles].
+
+    The shape is [0] if there are no capsules before and after.
+    """
     if not len(before.first) and not len(after.first):
         return np.zeros(0, np.uint8)
     tiles = max(len(before.first), len(after.first)) - 1

@@ -252,8 +252,7 @@ def _clear_edges(planes, height, width):
 
 @kernel_part()
 def dim_row(occlusion, strength, y, width, near_at, strip, marks):
-    """Dim an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z
-    [W + 8].
+    """Dim an image row of linear levels, the first three rows of ``strip`` [.., W + 8], by its occlusion.
 
     Blocks of 8 pixels without any pixel marked as shaded (`marks`) are skipped.
     """

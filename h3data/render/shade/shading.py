@@ -1,5 +1,4 @@
-"""RGB and normals from the visibility buffer, shaded once per pixel (at visible edges, with ``samples=4``, once per
-triangle).
+"""RGB and normals from the visibility buffer, shaded once per pixel (at visible edges, with ``samples=4``, once per triangle).
 
 Colours are linear internally. Light comes from a hemisphere (sky above, floor below), one sun, a weak fill light and a
 headlight; corners and contacts are darkened (`occlusion`); cast shadows are optional (`Light.shadow_rays`). Surfaces

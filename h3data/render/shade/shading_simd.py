@@ -241,8 +241,7 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
 
 @intrinsic
 def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
-    """Fill 8 neighbouring background pixels, from horizon to zenith by the ray's elevation, in a strip as in
-    `light_block`."""
+    """Fill 8 neighbouring background pixels, from horizon to zenith by the ray's elevation, in a strip as in `light_block`."""
 
     def codegen(context, b, signature, arguments):
         block_at, light_at, strip_at, row_bytes = arguments
@@ -293,8 +292,7 @@ def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
 
 @intrinsic
 def write_colors(typing_context, strip_at, row_bytes, bytes_at, rgb_at):
-    """Write red, green and blue (uint8) of 8 pixels, looked up at ``bytes_at`` for the levels in a strip's first three
-    rows."""
+    """Write red, green and blue (uint8) of 8 pixels, looked up at ``bytes_at`` for the levels in a strip's first three rows."""
 
     def codegen(context, b, signature, arguments):
         strip_at, row_bytes, bytes_at, rgb_at = arguments

@@ -61,8 +61,7 @@ def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> Rende
 
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
-    """Return an image of the scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the
-    camera."""
+    """Return an image of the scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
     low, high = scene.bounds
     if scene.rooms:
         rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in scene.rooms])

@@ -1,5 +1,4 @@
-"""Numba kernels of distances from any point to fixed goals, by a table of all corners and a check of the nearest
-ones."""
+"""Numba kernels of distances from any point to fixed goals, by a table of all corners and a check of the nearest ones."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
 def field_at(
     graph: Graph, corner: NDArray, goals: NDArray, x: float, z: float, max_snap: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] from (x, z) to the nearest goal, and the unit direction (dx, dz) of the shortest path to
-    it.
+    """Return the distance [m] from (x, z) to the nearest goal, and the unit direction (dx, dz) of the shortest path to it.
 
     ``corner`` holds the `corner_distances` of the goals. Without a path, the distance is infinite and the direction
     NaN. At a goal the direction is zero.

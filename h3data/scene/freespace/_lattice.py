@@ -183,8 +183,7 @@ def quick_distance(
     bz: float,
     max_snap: float,
 ) -> float:
-    """Return the length of the shortest path from a to b [m], by the lattice, or exactly where its error could be
-    large."""
+    """Return the length of the shortest path from a to b [m], by the lattice, or exactly where its error could be large."""
     length = lattice_distance(sdf, origin, cell, radius, lattice, ax, az, bx, bz)
     if (length < NEAR_M and length > np.hypot(bx - ax, bz - az)) or length == np.inf:
         return geodesic_pair(graph, ax, az, bx, bz, max_snap)[0]

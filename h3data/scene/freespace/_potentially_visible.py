@@ -1,5 +1,4 @@
-"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners that may be visible from within
-it.
+"""Numba kernel of potentially visible sets: for every bucket of a floor, the corners that may be visible from within it.
 
 A taut string leaves a corner only inside a wedge on either side of it, and walls hide most of that wedge. Of hundreds
 of corners, about ten remain per bucket, so a query tests only these. A set never misses a corner (it is conservative),

@@ -83,8 +83,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
-    """Return whether a disc of ``radius`` [m] can move straight from a to b, by sphere tracing, with 5 mm of
-    tolerance."""
+    """Return whether a disc of ``radius`` [m] can move straight from a to b, by sphere tracing, with 5 mm of tolerance."""
     length = np.hypot(bx - ax, bz - az)
     if length == 0.0:
         return sample_sdf(sdf, origin, cell, ax, az) >= radius - SLACK_M

@@ -217,8 +217,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
 
 @kernel()
 def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
-    """Return whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the
-    string.
+    """Return whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
 
     ``slack`` is a tolerance for (x, z) [m], because a point just outside a wall must still find the corners along it.
     """

@@ -1,5 +1,4 @@
-"""Numba kernels that find the floor among unordered triangles: voxel columns, then a flood fill over surfaces that an
-agent can step onto.
+"""Numba kernels that find the floor among unordered triangles, by voxel columns and a flood fill over walkable surfaces.
 
 The method is that of Recast (heightfields; spec/habitat.md lists the settings): an agent can stand on a surface that is
 not too steep and has headroom, and neighbouring surfaces are joined if the step between them is not too high.
@@ -39,8 +38,7 @@ def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, 
 def voxel_columns(
     triangles: NDArray, steep_cos: float, origin: NDArray, cell: float, level: float, shape: tuple[int, int, int]
 ) -> NDArray:
-    """Return columns uint8 [nx, nz, ny] of triangles [F, 3, 3]: 0 nothing, 1 surface, 2 surface flat enough to stand
-    on.
+    """Return columns uint8 [nx, nz, ny] of triangles [F, 3, 3]: 0 nothing, 1 surface, 2 surface flat enough to stand on.
 
     The result is exact, because every triangle is clipped to every column that it touches. ``origin`` [3] is the lower
     corner, ``cell`` the side of a column, ``level`` the height of a voxel [m]; steep means a normal whose |y| is below
@@ -116,8 +114,10 @@ def mark_standable(columns: NDArray, head: int, climb: int) -> int:
 
 @kernel()
 def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Find connected surfaces of voxels marked 3; return voxels [total, 3] as i j k, their components [total] and sizes
-    [C]."""
+    """Find connected surfaces of voxels marked 3.
+
+    Returns voxels [total, 3] as i j k, the component of each [total], and sizes of components [C].
+    """
     nx, nz, ny = columns.shape
     voxel = np.empty((total, 3), np.int32)
     component = np.empty(total, np.int32)
@@ -170,8 +170,7 @@ def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, 
 
 @kernel()
 def mask_rectangles(mask: NDArray) -> NDArray:
-    """Cover a bool mask by disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4], by merging equal runs of
-    rows."""
+    """Cover a bool mask by disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4], by merging equal runs of rows."""
     nx, nz = mask.shape
     out = np.empty((256, 4), np.int64)
     count = 0

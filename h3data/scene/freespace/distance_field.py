@@ -40,8 +40,7 @@ class DistanceField:
         return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
 
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return the unit vector [..., 2] along the shortest path from points [..., 2]: minus the gradient of
-        `distance`.
+        """Return the unit vector [..., 2] along the shortest path from points [..., 2]: minus the gradient of `distance`.
 
         The vector is NaN where there is no path, and zero at a goal. Points off the free area are moved to it first.
         """

@@ -153,8 +153,7 @@ class FreeSpace(FloorMap):
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, by bilinear
-        interpolation."""
+        """Return the distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor (bilinear)."""
         return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -162,8 +161,10 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle; it is negative
-        if they overlap."""
+        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle.
+
+        It is negative if they overlap.
+        """
         return self.signed_distance(points) - self.radius_m
 
     def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
@@ -214,16 +215,18 @@ class FreeSpace(FloorMap):
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def geodesic(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return the length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact; inf where there is
-        none.
+        """Return the length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact.
+
+        The length is infinite where there is no path.
 
         Ends off the free area are moved to it first; if they are farther from it than ``max_snap_m``, there is no path.
         """
         return each_pair(lambda p, q: self.entries(geodesic_many, self.graph, p, q, float(max_snap_m)), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], including both ends; k = 0 if there is no
-        path.
+        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], including both ends.
+
+        If there is no path, k is 0.
 
         ``path[1]`` corresponds to Habitat's ``points[1]``, the point towards which its agents walk.
         """
@@ -242,22 +245,22 @@ class FreeSpace(FloorMap):
     def first_leg(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> tuple[float, NDArray[np.float64]]:
-        """Return `geodesic` [m] and `next_waypoint` [2] of two points [2] by one search; infinity and NaN without a
-        path."""
+        """Return `geodesic` [m] and `next_waypoint` [2] of two points [2] by one search.
+
+        Without a path, the results are infinity and NaN.
+        """
         (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
         length, x, z = self.entries(first_leg, self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
         return length, np.array([x, z])
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
-        """Return the field of exact distances from any point to one goal [2], or to the nearest of several goals [K,
-        2]."""
+        """Return the field of exact distances from any point to one goal [2], or to the nearest of several goals [K, 2]."""
         moved = self.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
         # goals out of reach are left out, because they were moved to NaN
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return the length [...] [m] of the shortest path by look-ups in the lattice's table, within about 0.1% (p95
-        below 1%).
+        """Return the length [...] [m] of the shortest path by look-ups in a lattice, within about 0.1% (p95 below 1%).
 
         This is the reference for back ends that can gather but not search, such as GPUs; on a CPU `geodesic` is faster.
         The result is exact for straight paths and paths shorter than 3 m. The table is built at the first call.

@@ -1,5 +1,4 @@
-"""Compiled kernels of motion clips and the joint tree: sampling of a clip table, folding of arms, and frames of joints
-and capsules."""
+"""Compiled kernels of motion clips and the joint tree: sampling of clips, folding of arms, and frames of joints."""
 
 from __future__ import annotations
 
@@ -16,8 +15,7 @@ from h3data.kernels import kernel, kernel_part
 
 
 class ClipArrays(NamedTuple):
-    """Arrays of a `h3data.bodies.people.clips.ClipTable` for kernels, with the frames of all clips of a body in
-    sequence."""
+    """Arrays of a `h3data.bodies.people.clips.ClipTable` for kernels, with the frames of all clips of a body in sequence."""
 
     legs: LegMeasures
     first: NDArray[np.int64]
@@ -104,8 +102,7 @@ def tuck_all(quats, shares, joints, tucked):
 
 @kernel_part()
 def write_frame(parent, q, x, y, z, frame):
-    """Write the frame [4, 4] of a joint, from the frame of its parent, its local rotation and its position in that
-    frame."""
+    """Write the frame [4, 4] of a joint, from the frame of its parent, its local rotation and its position in that frame."""
     i, j, k, w = q
     # written out: products of small arrays would be allocated and called through BLAS
     a, b, c = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)

@@ -84,8 +84,7 @@ def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
 
 @kernel_part()
 def sinking(hips, longest, pelvis_turn, pelvis, ankles):
-    """Return how far the pelvis must sink [m] for both ankles [2, 3] to be within a distance ``longest`` [m] of their
-    hips."""
+    """Return how far the pelvis must sink [m] for both ankles [2, 3] to be within a distance ``longest`` [m] of their hips."""
     sink = 0.0
     for k in range(2):
         hip = plus(pelvis, turned(pelvis_turn, row3(hips, k)), 1.0)
@@ -113,8 +112,8 @@ def lowest(feet, height, pitch, bend):
 
 @kernel(error_model="numpy")
 def lowest_points(feet, ankle, foot, out):
-    """Fill ``out`` [T, 2] with the height [m] of the lowest point of each sole, from ankles [T, 2, 3] [m] and angles
-    [T, 2, 3] [deg]."""
+    """Fill ``out`` [T, 2] with heights [m] of the soles' lowest points, from ankles [T, 2, 3] [m] and angles [T, 2, 3]
+    [deg]."""
     for t in range(len(out)):
         for k in range(2):
             out[t, k] = lowest(feet[k], ankle[t, k, 1], foot[t, k, 0], foot[t, k, 2])
@@ -161,8 +160,7 @@ def write_all_legs(legs, quats, pelvis, ankle, foot, angles):
 
 @kernel_part()
 def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
-    """Blend one pose, in place, from moving (``blend`` 1) at its ``phase`` to standing (0) by steps instead of sliding
-    feet.
+    """Blend one pose, in place, from moving (``blend`` 1) at its ``phase`` to standing (0) by steps instead of sliding feet.
 
     From 1 to 0.5 the foot that is up, or about to leave the floor, goes to its standing place; below 0.5 the other one
     does. A moving foot is lifted, so no foot slides when the person stops. When a person starts to walk, the blend

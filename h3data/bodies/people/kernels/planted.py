@@ -1,5 +1,4 @@
-"""Compiled kernels of planted walking: the motion of the feet while the root moves in any direction, and the pose at
-any time.
+"""Compiled kernels of planted walking: the motion of the feet while the root moves in any direction, and the pose at any time.
 
 `step_gait` is a phase machine. A foot is either planted, at a fixed position on the floor in the world, or swings from
 there to its next position: as far ahead as in the gait at this speed, plus half of the root's further motion and turn
@@ -127,8 +126,7 @@ _SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 
 
 class GaitTables(NamedTuple):
-    """Tables of a body's gaits by speed (rows, starting with standing) and by phase or share of stance or swing
-    (columns)."""
+    """Tables of a body's gaits by speed (rows, starting with standing) and by phase or share of stance or swing (columns)."""
 
     legs: LegMeasures
     half_width: float
@@ -921,8 +919,9 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
 
 @kernel(error_model="numpy")
 def run_gaits(table, xz, heading, seconds, step_s, states):
-    """Fill states [T, K] for a root at ``xz`` [T, 2] [m] and ``heading`` [T] [rad]; the person stands in the first row
-    and after jumps.
+    """Fill states [T, K] for a root at ``xz`` [T, 2] [m] and ``heading`` [T] [rad].
+
+    The person stands in the first row and after jumps.
 
     Each row is ``seconds`` [T] after the previous one. Between rows that are further apart than ``step_s``, the root
     moves along a straight line in several steps.

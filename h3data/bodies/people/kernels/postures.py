@@ -123,8 +123,9 @@ def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, p
 
 @kernel(error_model="numpy")
 def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
-    """Blend trunks and legs of poses, in place, with poses that reach for ``hands`` [T, 2, 4]: positions [m], and
-    shares from 0 to 1.
+    """Blend trunks and legs of poses, in place, with poses that reach for ``hands``.
+
+    ``hands`` [T, 2, 4] holds positions [m], and shares from 0 to 1.
 
     `reach_many` describes the other arguments.
     """
@@ -150,8 +151,7 @@ def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
 
 @kernel(error_model="numpy")
 def blend_rows(quats, rows, others, shares):
-    """Blend poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place, without the
-    fingers."""
+    """Blend poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place, without the fingers."""
     for n in range(len(rows)):
         for j in range(BODY_JOINTS):
             put(quats[rows[n]], j, nlerp(row4(quats[rows[n]], j), row4(others[n], j), shares[n]))

@@ -1,5 +1,4 @@
-"""Compiled kernels that solve a reaching posture: the trunk from a table, legs and arm in closed form, and a check for
-faults.
+"""Compiled kernels that solve a reaching posture: the trunk from a table, legs and arm in closed form, and a check for faults.
 
 Everything is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Vectors
 and quaternions (xyzw) are tuples here. The table is for the right hand; the left hand is its mirror image in the plane

@@ -32,8 +32,9 @@ def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
 
 @kernel(error_model="numpy")
 def hold(frame, place, grip, upright, tilt, out):
-    """Write the pose7 of a held object to ``out`` [7]; the object moves rigidly with a palm, except that its rotation
-    is blended.
+    """Write the pose7 of a held object to ``out`` [7].
+
+    The object moves rigidly with a palm, except that its rotation is blended.
 
     Args:
         frame: frame of the wrist [4, 4].

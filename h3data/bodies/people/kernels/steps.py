@@ -1,5 +1,4 @@
-"""Compiled kernels for feet on stairs: the position of a foot on a tread, and the path of a swinging foot over the
-noses of steps.
+"""Compiled kernels for feet on stairs: the position of a foot on a tread, and the path of a foot over noses of steps.
 
 Positions along a flight are in metres upwards from the lower end of its ramp; tread n is at about n times the going
 (the depth of a step), and tread 0 is the landing. Heel and toe tip of a foot are ``heel`` (negative) and ``toe`` [m]
@@ -80,8 +79,9 @@ def under_foot(heights, x, z, heading, heel, toe):
 
 @kernel_part()
 def on_a_tread(heights, x, z, heading, heel, toe, came_from):
-    """Move a position (x, z) of an ankle along the flight so that the foot is on one tread; away from stairs it is
-    unchanged.
+    """Move a position (x, z) of an ankle along the flight so that the foot is on one tread.
+
+    Away from stairs it is unchanged.
 
     ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
     """

@@ -89,8 +89,7 @@ def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
 
 
 def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Return triangles in an order that compresses well: each starts with its lowest vertex index, and all are
-    sorted."""
+    """Return triangles in an order that compresses well: each starts with its lowest vertex index, and all are sorted."""
     first = faces.argmin(axis=1)
     # turned and not sorted: the order of the corners tells which side is outside
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
