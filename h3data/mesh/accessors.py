@@ -32,8 +32,7 @@ class GltfArrays:
     _unpacked: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def accessor(self, index: object) -> NDArray[Any]:
-        """Return the elements of an accessor as stored, [count] or [count, width], if possible as a view of the file's
-        bytes."""
+        """Return the elements of an accessor as stored, [count] or [count, width], if possible as a view of the bytes."""
         record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
         widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
         if record.get("type") not in widths:

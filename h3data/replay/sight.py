@@ -90,8 +90,7 @@ class Sight:
 
 
 class Fan:
-    """Computation of free distances in many panoramas along fixed unit directions [D, 3], at most 45 degrees off the
-    horizon."""
+    """Free distances in many panoramas along fixed unit directions [D, 3], at most 45 degrees off the horizon."""
 
     def __init__(self, sight: Sight, directions: Array) -> None:
         self._side, axes = sight._turned(directions)

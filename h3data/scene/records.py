@@ -1,5 +1,4 @@
-"""Records of a scene: assets with collision shapes and receptacles, instances, doors and drawers, rooms, and lights.
-"""
+"""Records of a scene: assets with collision shapes and receptacles, instances, doors and drawers, rooms, and lights."""
 
 from __future__ import annotations
 

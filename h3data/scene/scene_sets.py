@@ -1,4 +1,4 @@
-"""Scene sets: the homes of a split and the number of episodes in each. 
+"""Scene sets: the homes of a split and the number of episodes in each.
 
  One TOML file is one split.
 
@@ -80,7 +80,7 @@ class SceneSet:
         return entry, index
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
-        """Return the seed (63 bits) of episode ``index`` in a scene. 
+        """Return the seed (63 bits) of episode ``index`` in a scene.
 
          It does not depend on the other scenes, so scenes may be added to a set.
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 class SceneSpec(Protocol):
-    """Specification from which a generator makes a scene. 
+    """Specification from which a generator makes a scene.
 
-     Specs are hashable, and equal specs give the same scene.
+    Specs are hashable, and equal specs give the same scene.
     """
 
     kind: ClassVar[str]

@@ -275,8 +275,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and their
-    distances [m]."""
+    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and distances [m]."""
     nodes, candidates = graph.nodes, graph.visible_nodes
     b = bucket_of(graph, x, z)
     size = graph.visible_start[b + 1] - graph.visible_start[b]

@@ -112,8 +112,7 @@ def lowest(feet, height, pitch, bend):
 
 @kernel(error_model="numpy")
 def lowest_points(feet, ankle, foot, out):
-    """Fill ``out`` [T, 2] with heights [m] of the soles' lowest points, from ankles [T, 2, 3] [m] and angles [T, 2, 3]
-    [deg]."""
+    """Fill ``out`` [T, 2] with heights [m] of the soles' lowest points, from ankles [T, 2, 3] [m] and feet [T, 2, 3] [deg]."""
     for t in range(len(out)):
         for k in range(2):
             out[t, k] = lowest(feet[k], ankle[t, k, 1], foot[t, k, 0], foot[t, k, 2])
