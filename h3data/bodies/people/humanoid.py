@@ -112,7 +112,7 @@ class Humanoid:
     camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
     """Names of the cameras of the body: one between the eyes that looks in the direction of the head."""
     climbs_stairs: ClassVar[bool] = True
-    """Whether the body climbs stairs: always True for people, unlike for robots."""
+    """Ability to climb stairs: always True for people, unlike for robots."""
     climbing_length_m: ClassVar[float] = 0.0
     """Length over which the body pitches on stairs [m]: always 0, because people, unlike robots, stay upright."""
 
