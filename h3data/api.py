@@ -35,21 +35,22 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
     ====================================================  ==========================================
     ``episode.mcap``, ``ds#3``                             `Recording`
     ``ds/``, ``s3://bucket/ds``                            `Dataset`
-    ``recordings/*.mcap``, ``runs/*/``, a folder of logs   `Episodes`, read when they are asked for
+    ``recordings/*.mcap``, ``runs/*/``, a folder of logs   `Episodes`, each read at first access
     ``small:3``, ``h3-homes/test#3``                       `Scene`
     a GLB or a scene of Habitat                            `Scene`
     ``*.scene_dataset_config.json``                        `SceneDataset`; followed by ``#name``, a `Scene`
     ====================================================  ==========================================
 
-    Options of scenes in files: `h3data.scene.sources.SceneFile`.
+    `h3data.scene.sources.SceneFile` describes the options of scenes in files.
 
     Args:
         path: Path, URI or name.
-        kind: Type of object expected, such as ``Recording``: anything else is refused, and type checkers know the result.
+        kind: Expected type, such as ``Recording``. Other objects are refused, and type checkers infer the type of the
+            result.
 
     Raises:
-        InputError: there is nothing of that name, or it is not of that ``kind``.
-        FormatError: a file is something else; the message says what it is and what to do with it.
+        InputError: nothing has that name, or the object is not of that ``kind``.
+        FormatError: a file has another format; the message names the format and suggests how to open it.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"Expected a path, URI or name, got {path!r:.60}.", code="H3-FILE-001")
@@ -63,7 +64,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     """Open one episode.
 
     Args:
-        path: ``episode.mcap``, ``ds#3`` or ``s3://bucket/ds#3``; errors are those of `open`.
+        path: Path or URI, such as ``episode.mcap``, ``ds#3`` or ``s3://bucket/ds#3``. `open` lists the errors.
     """
     return open(path, Recording)
 
@@ -72,7 +73,7 @@ def load_dataset(path: str | os.PathLike[str]) -> Dataset:
     """Open a dataset.
 
     Args:
-        path: Folder, or ``s3://bucket/ds``; errors are those of `open`.
+        path: Folder or URI, such as ``s3://bucket/ds``. `open` lists the errors.
     """
     return open(path, Dataset)
 
@@ -81,7 +82,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Open a home or scene.
 
     Args:
-        path: ``small:3``, ``h3-homes/test#3``, a GLB or a scene of Habitat; errors are those of `open`.
+        path: Name or path: ``small:3``, ``h3-homes/test#3``, a GLB file or a Habitat scene. `open` lists the errors.
     """
     from h3data.scene import Scene
 
@@ -157,15 +158,15 @@ def render_frame(
     light: LightMode = "baked",
     stand_ins: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Return one picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
+    """Return the images of one camera: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W].
 
-    For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people``,
-    ``light`` and ``stand_ins`` of its own.
+    To render many images, create a `Replay` once and pass it, or call `Replay.frames`. A replay has its own settings
+    for ``assets``, ``people``, ``light`` and ``stand_ins``.
 
     Args:
         recording: Recording, or a replay of one.
         camera: Name of a camera, or a .toml or .json file with one.
-        step: Step that is shown.
+        step: Index of the step to render.
         outputs: Images to render.
         assets: Folders to search for recorded asset files.
         people: Appearance of people: skin, collision capsules, or bones.

@@ -1,4 +1,4 @@
-"""Environments, and the Gymnasium ids of the tasks of h3data, which importing this module registers.
+"""Training environments of h3data and their Gymnasium ids, which are registered when this module is imported.
 
 ```python
 import gymnasium
@@ -9,8 +9,8 @@ gymnasium.make_vec("h3data/SocialNav-v0", num_envs=64)
 gymnasium.make("h3data:h3data/Rearrange-v0")  # without any other import: Gymnasium imports the module
 ```
 
-Keyword arguments are those of `h3data.make`. Gymnasium 1.0 dropped entry points for plug-ins, so that a package has to register
-its environments when it is imported. ``import h3data`` does so too if Gymnasium was imported before.
+Keyword arguments are those of `h3data.make`. Gymnasium 1.0 dropped entry points for plug-ins, so that a package has to
+register its environments when it is imported. ``import h3data`` does so too if Gymnasium was imported before.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ except ImportError as error:
     ) from error
 
 IDS = {f"h3data/{name.title().replace('_', '')}-v0": name for name in own_entries("h3data.tasks")}
-"""Name of the task by Gymnasium id."""
+"""Names of tasks by Gymnasium id."""
 
 for _id, _task in IDS.items():
     if _id not in gymnasium.registry:  # a reload would make Gymnasium warn

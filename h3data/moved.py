@@ -195,7 +195,8 @@ MOVED = {
     "h3data.scene.validation": "h3data_pipelines.validation.scenes",
     "h3data_pipelines.commands.penetration": "h3data_pipelines.validation.penetration",
 }
-"""New name of each module that was renamed. Modules of a package that has moved as a whole follow its name."""
+"""New name of each module that was renamed. For packages that moved as a whole, the table has the name of the package
+only."""
 
 RENAMED = {
     "h3data.formats.export_format": "h3data_pipelines.format_names.export_format",
@@ -271,18 +272,19 @@ RENAMED = {
     "sim_kinematic.world.Stride": "PoseCommand",
     "sim_kinematic.world.WalkTo": "WaypointCommand",
 }
-"""New name of each public object that was renamed: in the same module, or with its new module if it moved alone.
-`announce_moves` makes the old modules refuse the old names; modules with a ``__getattr__`` use `lazy_names`."""
+"""New name of each public object that was renamed: in the same module, or with its new module if the object moved to
+another one. `announce_moves` makes old modules raise an error for old names; modules with a ``__getattr__`` use
+`lazy_names`."""
 
 
 def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
     """Return a ``__getattr__`` for a module that imports names at their first use.
 
-    It answers old names of `RENAMED` with an ImportError that says the new one.
+    For old names in `RENAMED` it raises an ImportError that states the new name.
 
     Args:
         module: Name of the module.
-        homes: Module that defines each name; one that begins with a dot lies in ``module``, a package.
+        homes: Module that defines each name; a name that starts with a dot is relative to the package ``module``.
     """
 
     def find(name: str) -> Any:
@@ -327,10 +329,10 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Import finder that gives modules whose objects were renamed a ``__getattr__`` (`lazy_names`)."""
+    """Import finder that adds a ``__getattr__`` (`lazy_names`) to modules whose objects were renamed."""
 
     modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
-    """Modules whose objects were renamed."""
+    """Names of modules whose objects were renamed."""
 
     @classmethod
     def find_spec(

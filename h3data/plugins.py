@@ -1,10 +1,10 @@
 """Registries that installed packages can extend: tasks, robots, policies, metric profiles, file formats.
 
-A `Registry` knows the built-in ones from a table and third-party ones from the entry points of one group; ``module:name``
-names one that is not installed as an entry point. Nothing is imported before it is asked for.
+A `Registry` finds built-in implementations in a table and third-party ones in the entry points of one group;
+``module:name`` names an implementation without an entry point. Implementations are imported at first use.
 
-Names that a file holds are looked up within `names_from_data`: there ``module:name`` is refused unless the user has trusted
-the module (`trust`), so that opening somebody's file never runs Python that lies beside it.
+Names from a file are looked up within `names_from_data`, where ``module:name`` is refused unless the user has trusted
+the module (`trust`). Opening a file from another person therefore never runs Python code from its folder.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
 TRUST_VARIABLE = "H3DATA_TRUST"
-"""Environment variable with the trusted modules, commas between: worker processes inherit it."""
+"""Environment variable with the trusted modules, separated by commas, which worker processes inherit."""
 
 # a context variable, not a global: one thread may read a file while another one serves its user
 _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
@@ -44,7 +44,7 @@ _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
 
 @contextmanager
 def names_from_data() -> Iterator[None]:
-    """Mark names in this context as read from a file: only built-in, installed and trusted ones are looked up."""
+    """Mark names in this context as read from a file, so that only built-in, installed and trusted ones are looked up."""
     token = _FROM_DATA.set(True)
     try:
         yield
@@ -53,14 +53,14 @@ def names_from_data() -> Iterator[None]:
 
 
 def come_from_data() -> bool:
-    """Return whether names come from a file at present (`names_from_data`), and not from the user."""
+    """Return whether names in this context come from a file (`names_from_data`), and not from the user."""
     return _FROM_DATA.get()
 
 
 def trust(*modules: str) -> None:
-    """Let data name objects of these modules, and of modules within them, until this process and those it starts end.
+    """Allow files to name objects of these modules and their submodules, in this process and in processes that it starts.
 
-    A module that the user names (``Registry.get`` outside `names_from_data`) is trusted likewise.
+    A module that the user names (``Registry.get`` outside `names_from_data`) becomes trusted too.
     """
     for module in modules:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
@@ -120,7 +120,7 @@ def _installed_modules_only() -> Iterator[None]:
 
 
 class PluginWarning(UserWarning):
-    """Warning about an installed plug-in that is ignored; the others still work."""
+    """Warning about an installed plug-in that is ignored, while other plug-ins still work."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Plugin:
 
     name: str
     value: Any
-    """``module:name``, or the object itself."""
+    """Reference ``module:name``, or the object itself."""
     distribution: str = ""
     """Name and version of the installed package; empty for built-in entries and references by ``module:name``."""
     editable: bool = False
@@ -149,9 +149,9 @@ class Plugin:
 
 @cache
 def own_entries(group: str) -> dict[str, str]:
-    """Return the references ``module:name`` of those entry points of a group that come with this package, by name.
+    """Return references ``module:name`` of the entry points of a group that belong to this package, by name.
 
-    Their modules need not be installed.
+    The modules need not be installed.
     """
     return dict(_own_groups().get(group, {}))
 
@@ -178,7 +178,10 @@ def _is_there(reference: str) -> bool:
 
 
 def missing_part(fault: ModuleNotFoundError) -> str:
-    """Return the name of the package of h3data that an import did not find; empty if it was a module of somebody else."""
+    """Return the name of the h3data package that an import did not find.
+
+    Empty if the missing module is not part of h3data.
+    """
     package = (fault.name or "").partition(".")[0]
     return package if package.startswith("h3data_") and not _is_there(package) else ""
 
@@ -212,8 +215,8 @@ def load_reference(reference: str) -> Any:
 class Registry(Generic[T]):
     """Built-in and third-party implementations of one kind, found by name.
 
-    Built-in names cannot be taken over. If two packages claim a name, neither gets it (both remain available as
-    ``module:name``).
+    Built-in names cannot be taken over. If two packages register the same name, the name is refused; both objects
+    remain available as ``module:name``.
 
     Example:
         TASKS = Registry("h3data.tasks", {"social_nav": "sim_kinematic.tasks.social_nav:TASK"}, what="task")
@@ -322,7 +325,7 @@ class Registry(Generic[T]):
         )
 
     def missing(self) -> dict[str, str]:
-        """Return the packages of h3data that are not installed, by the name of the entry point that each of them would add."""
+        """Return the packages of h3data that are not installed, by the names of the entry points that they would add."""
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()
@@ -348,7 +351,7 @@ class Registry(Generic[T]):
         return loaded
 
     def origin(self, name: str) -> str:
-        """Return the name as error texts give it: with package and entry point, if it comes from a plug-in."""
+        """Return the name as written in error messages: with package and entry point if it comes from a plug-in."""
         claims = self._third_party().get(name, [])
         return self._origin(claims[0]) if claims and name not in self._built_in else repr(name)
 
@@ -430,7 +433,7 @@ class Registry(Generic[T]):
 
 
 def own_version() -> str:
-    """Return the version of this package that pip knows; ``source`` where it is a source tree on PYTHONPATH."""
+    """Return the installed version of this package, or ``source`` if it is a source tree on PYTHONPATH."""
     try:
         return importlib.metadata.version("h3data")
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Pseudonyms of people: the same id for the same person under a secret key, which is not part of the data."""
+"""Pseudonyms of people, which are the same for the same person under a secret key that is not part of the data."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ SHORTEST_KEY = 16
 def anonymous_id(person: str, *, key: bytes) -> str:
     """Return the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
 
-    HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
-    whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
+    The pseudonym is an HMAC-SHA256 truncated to 50 bits; case, outer spaces and Unicode forms do not matter. Without
+    the key, the person cannot be identified, not even by trying names. Store the key apart from the data, and delete it
+    to make the pseudonyms irreversible.
     """
     if len(key) < SHORTEST_KEY:
         raise InputError(
@@ -41,7 +42,7 @@ def anonymous_id(person: str, *, key: bytes) -> str:
 def participant_key_path() -> Path:
     """Return the path of this user's key file.
 
-    It is that of `KEY_VARIABLE`, else ``h3data/participants.key`` in the configuration folder.
+    The path is the value of `KEY_VARIABLE`, or else ``h3data/participants.key`` in the configuration folder.
     """
     if given := os.environ.get(KEY_VARIABLE):
         return Path(given).expanduser()
@@ -49,12 +50,12 @@ def participant_key_path() -> Path:
 
 
 def participant_key() -> bytes:
-    """Return the secret key of this user's studies, made at its first use.
+    """Return the secret key of this user's studies, which is created at first use.
 
-    It lies beside the user's settings, not beside the recordings: whoever gets the data does not get the key.
+    The key is stored with the user's settings and not with the recordings, so it is not published with the data.
 
     Raises:
-        InputError: the file is no key, or cannot be read or written.
+        InputError: the file does not hold a key, or cannot be read or written.
     """
     path = participant_key_path()
     try:

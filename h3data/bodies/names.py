@@ -1,8 +1,8 @@
-"""Names of people, and the walks that this process knows.
+"""Names of bodies of people, and the gaits from motion files that this process has registered.
 
-Somebody who walks as a motion is named by a body, a plus, and the motion, as in ``female_0+walk.npz``. Recordings name the
-motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of theirs. What is in such files,
-the package of motions knows (`h3data.walks`).
+A person who walks as in a motion file is named by a body, a plus sign, and the file, as in ``female_0+walk.npz``.
+Recordings name the motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of the
+recording. `h3data.walks` describes the contents of such files.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from h3data.plugins import Registry
 
 JOIN, STORED = "+", "motion:"
 ATTACHED = "motion_"
-"""Beginning of the name of an attachment that is a walk: ``motion_<digits>.npz``."""
+"""Prefix of the name of an attachment that holds a gait: ``motion_<digits>.npz``."""
 
 _files: dict[str, bytes] = {}
 
@@ -31,12 +31,12 @@ def load_humanoid(name: str | Path) -> Humanoid:
     """Load a person by name, once; later calls return the same object.
 
     Args:
-        name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz`` file.
-            A colon and an outfit may follow (``female_0:dress``), and ``+`` and a motion file (``female_0+walk.bvh``), by
-            which the person then walks.
+        name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz``
+            file. A colon and an outfit may follow (``female_0:dress``), and ``+`` and a motion file
+            (``female_0+walk.bvh``), which then replaces the person's gait.
 
     Raises:
-        InputError: there is no such body, outfit or motion, or nobody walks in the motion.
+        InputError: there is no such body, outfit or motion, or the motion contains no walking.
         FormatError: a file is damaged or of another kind.
     """
     body, motion = split_walk(str(name))
@@ -48,7 +48,10 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def split_walk(model: str) -> tuple[str, str]:
-    """Return the body and the motion of a name; the motion is empty if the name has none. An existing file is a body."""
+    """Split a name into body and motion.
+
+    The motion is empty if the name has none. The name of an existing file is a body.
+    """
     # the name of a file may hold a plus itself
     if JOIN not in model or Path(model).exists():
         return model, ""
@@ -60,14 +63,14 @@ def stored_name(model: str) -> str:
     """Return the name that recordings use for a body with a motion; other names are returned unchanged.
 
     Raises:
-        InputError: there is no such motion file, or nobody walks in it.
+        InputError: there is no such motion file, or it contains no walking.
     """
     body, motion = split_walk(model)
     return f"{body}{JOIN}{_stored(motion)}" if motion else model
 
 
 def keep_walk(data: bytes) -> str:
-    """Register a gait in this process, from the contents of its file; return its name."""
+    """Register a gait in this process from the contents of its file, and return its name."""
     digits = 16
     name = STORED + hashlib.sha256(data).hexdigest()[:digits]
     # one copy, whichever of several recordings with this walk came first
@@ -76,20 +79,20 @@ def keep_walk(data: bytes) -> str:
 
 
 def keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Make the walks among a recording's attachments known to this process."""
+    """Register the gaits among a recording's attachments in this process."""
     for name, data in attachments.items():
         if name.startswith(ATTACHED):
             keep_walk(bytes(data))
 
 
 def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
-    """Return the files of walks in stored names of bodies, as attachments of a recording."""
+    """Return the gait files that stored body names refer to, as attachments of a recording."""
     names = sorted({split_walk(model)[1] for model in models} - {""})
     return {f"{ATTACHED}{name.removeprefix(STORED)}.npz": _kept(name) for name in names}
 
 
 def walk_facts(models: Iterable[str]) -> dict[str, Any]:
-    """Return entries for a recording's info about the walks in stored names of bodies, by the name of the attachment."""
+    """Return entries for a recording's info about the gaits that stored body names refer to, by name of the attachment."""
     return {
         name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
         for name, data in walk_attachments(models).items()
@@ -97,7 +100,7 @@ def walk_facts(models: Iterable[str]) -> dict[str, Any]:
 
 
 def walk_file(path: str) -> bytes:
-    """Return the contents of the file that keeps the walk in a motion file.
+    """Return the contents of the gait file for the walk in a motion file.
 
     Raises:
         InputError: there is no such file, or nobody walks in it.

@@ -1,7 +1,7 @@
 """Arguments of jobs that are called from Python, such as `h3data.report`, and their conversion to a command.
 
-The function of each job stands beside its command, which has its names and defaults from there (`command_of`). Where there may
-be several things, one or a list is accepted.
+The function of each job is in the same module as its command, which takes names and defaults of options from it
+(`command_of`). Options for several values accept one value or a list.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def result_of(command: type[Command], given: dict[str, Any]) -> Any:
-    """Run a command, given its options as Python values."""
+    """Run a command with options given as Python values, and return its result."""
     from h3data.commands.options import check_task, in_python_words, options_of, python_value
     from h3data.errors import H3DataError
 

@@ -92,7 +92,7 @@ ShareScenesFlag = Annotated[
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marker of a text option that names an entry of a registry: its help lists the names, plug-ins included."""
+    """Marker of a text option that names an entry of a registry: its help lists the names, including those of plug-ins."""
 
     names: Callable[[], Iterable[str]]
     """Function that returns the names. It is called only when the command is chosen: finding plug-ins takes some
@@ -133,7 +133,9 @@ class Group:
 
 
 def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str) -> P:
-    """Create an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
+    """Create an output folder; raise an `InputError` if it already has contents, unless ``force`` is set.
+
+    Object stores need no folders.
 
     ``unfinished`` returns what ``--resume`` could continue in the existing contents; an empty text means nothing.
     """
@@ -165,7 +167,10 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """Return the path of an output file that ends in ``suffix``; raise an `InputError` if it exists, unless ``force``."""
+    """Return the path of an output file that ends in ``suffix``.
+
+    Raise an `InputError` if it exists and ``force`` is not set.
+    """
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
@@ -201,7 +206,7 @@ def _try_writing(folder: Path, asked: Path) -> None:
 
 
 def open_episode(path: AnyPath) -> Recording:
-    """Return the recording in an .mcap file, or one episode of a dataset, written as ``ds#3``."""
+    """Open the recording in an .mcap file, or one episode of a dataset, such as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
 
     opened = open_recording(path)
@@ -214,7 +219,7 @@ def open_episode(path: AnyPath) -> Recording:
 
 
 def recording_stem(path: Path) -> str:
-    """Return the name of a recording's file without its endings: ``my_session`` for ``my_session.gfx_replay.json.gz``."""
+    """Return a recording's file name without suffixes: ``my_session`` for ``my_session.gfx_replay.json.gz``."""
     name = path.name
     # from the last suffix inwards
     for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
@@ -242,12 +247,12 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
 
 
 def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any], ...]:
-    """Parse rules of a task from ``NAME=VALUE``, with a value as in JSON or a bare word, into names and values.
+    """Parse rules of a task from texts ``NAME=VALUE``, in which a value is JSON or a plain word.
 
-    ``named`` are rules that have an option of their own; None leaves one out.
+    ``named`` holds the values of rules that have a separate option; rules with None are left out.
 
     Raises:
-        InputError: one is written in another way, or given twice.
+        InputError: a rule has another form, or is given twice.
     """
     overrides = [(name, value) for name, value in named.items() if value is not None]
     for text in texts:
@@ -264,7 +269,7 @@ def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any],
 
 
 def check_backend(backend: BackendOption) -> None:
-    """Raise an InputError where there is no GPU for ``gpu``."""
+    """Raise an `InputError` if the back end is ``gpu`` and there is no GPU."""
     if backend != "cpu":
         from h3data.replay.stage import chosen_backend
 
@@ -272,14 +277,14 @@ def check_backend(backend: BackendOption) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small file, which appears under its name when it is complete."""
+    """Write a small file atomically, so that it appears only when it is complete."""
     with part_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
-    """Report on Ctrl-C which part of the work is saved and how to continue; an empty text reports nothing."""
+    """On Ctrl-C, print a text that states which part of the work is saved and how to continue, unless it is empty."""
     try:
         yield
     except KeyboardInterrupt:

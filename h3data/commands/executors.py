@@ -22,7 +22,7 @@ ExecutorOption = Annotated[
 
 
 def check_workers(executor: str, workers: int | None) -> None:
-    """Refuse an impossible number of workers before anything is done.
+    """Check the executor and the number of workers before any work starts.
 
     Raises:
         InputError: there is no such executor, or fewer than one worker.
@@ -39,7 +39,7 @@ def check_workers(executor: str, workers: int | None) -> None:
 
 
 def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:
-    """Return the executor of that name, for a ``with`` statement.
+    """Return the executor with a name, for use in a ``with`` statement.
 
     Raises:
         InputError: there is no such executor, or no cluster at its address.

@@ -50,26 +50,26 @@ RENAMED = {
 """Options of earlier versions and their present names. The old names are refused with a message that states the new
 one."""
 Repeatable = tyro.conf.UseAppendAction
-"""An option that takes one value each time it is given: ``--camera A --camera B``. With all of them after one flag, it
-would swallow the positional argument behind it."""
+"""Option that takes one value each time it is given: ``--camera A --camera B``. With several values after one flag, it
+would consume a following positional argument."""
 
 
 @dataclass(frozen=True)
 class OfTasks:
-    """Marker of an option that only some tasks have: the others refuse it, and their help leaves it out.
+    """Marker of an option that only some tasks have; other tasks refuse it and do not list it in their help.
 
     A task that is given as ``module:Class`` may have it."""
 
     has: Callable[[str], bool]
-    """Function that returns whether the option applies to a task, by the task's name."""
+    """Function that returns whether the option applies to the task with a name."""
 
 
 @dataclass(frozen=True)
 class TaskNotes:
-    """Marker of an option whose meaning depends on the task: the help of a task adds its sentence."""
+    """Marker of an option whose meaning depends on the task: the help of each task adds a sentence about it."""
 
     note: Callable[[str], str]
-    """Function that returns the sentence for the name of a task; empty: there is none."""
+    """Function that returns the sentence for the name of a task, or an empty text."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +113,12 @@ class Option:
         return next((mark for mark in self.metadata if isinstance(mark, OfTasks)), None)
 
     def note(self, task: str) -> str:
-        """Return the meaning of the option in a task; empty if it is the same in all tasks."""
+        """Return the sentence that describes the option in a task; empty if its meaning is the same in all tasks."""
         return next((mark.note(task) for mark in self.metadata if isinstance(mark, TaskNotes)), "")
 
 
 def annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
-    """Return the type with markers."""
+    """Return the type of the option annotated with its markers."""
     return Annotated[(kind, *metadata)] if metadata else kind
 
 
@@ -138,10 +138,10 @@ def options_of(command: type[Command]) -> tuple[Option, ...]:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def command_of(function: Callable[..., Any]) -> Callable[[type[T]], type[T]]:
-    """Make the command that a function of `h3data` is called by on the command line: names and defaults are the function's.
+    """Make the command-line command of a function of `h3data`, with the names and defaults of its parameters.
 
-    The class says what the command line needs beside: types of single words, help, and options such as ``--json`` that only
-    it has. Its fields have no defaults of their own where the function has the parameter.
+    The class adds types of single words, help, and options such as ``--json`` that exist only on the command line. Its
+    fields have no defaults where the function has a parameter of that name.
 
     Raises:
         TypeError: a parameter has no field, or a field that the function does not have lacks a default.
@@ -190,7 +190,7 @@ def _option(name: str, annotation: Any, *, required: bool) -> Option:
 
 
 def split_list(text: str) -> list[str]:
-    """Return the values in a text with commas between; commas within brackets and quotes belong to a value."""
+    """Split a text at commas into values; commas within brackets and quotes belong to a value."""
     parts, depth, quoted = [""], 0, False
     for character in text:
         # values may be JSON: --set near_m=[2.0,1.5]
@@ -204,16 +204,21 @@ def split_list(text: str) -> list[str]:
 
 
 def known_tasks(command: type[Command]) -> tuple[str, ...]:
-    """Return names that a command's argument ``task`` may have, except ``module:Class``; empty if it has no such argument."""
+    """Return the names that the argument ``task`` of a command accepts, except ``module:Class``.
+
+    The result is empty if the command has no such argument.
+    """
     marks = (mark for o in options_of(command) if o.field == "task" for mark in o.metadata if isinstance(mark, NameOf))
     return tuple(name for mark in marks for name in mark.names())
 
 
 def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
-    """Refuse options of other tasks. ``given`` are the fields that are set.
+    """Raise an error if an option is set that the task does not have.
+
+    ``given`` are the fields that are set.
 
     Raises:
-        InputError: one of them is of other tasks.
+        InputError: a set option belongs to other tasks.
     """
     fields = set(given)
     marked = [(o, o.of_tasks) for o in options_of(command) if o.field in fields and o.of_tasks is not None]
@@ -230,7 +235,7 @@ def _few(tasks: list[str]) -> str:
 
 
 def python_value(option: Option, value: Any) -> Any:
-    """Return the value of an option from a Python value: one thing or several, paths as text, objects with a name.
+    """Return the value of an option from a Python value: one value or several, paths as text, and objects by their names.
 
     Raises:
         InputError: it is not of the option's type.
@@ -292,9 +297,9 @@ _PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
 
 
 def in_python_words(message: str, command: type[Command]) -> str:
-    """Return a message with the options of the command as Python names them: ``--resume`` becomes ``resume=True``.
+    """Return a message in which options are written as in Python: ``--resume`` becomes ``resume=True``.
 
-    Whole commands, such as ``h3data motion import --fps 120``, stay.
+    Whole commands, such as ``h3data motion import --fps 120``, are unchanged.
     """
     by_flag = {flag: option for option in options_of(command) for flag in option.flags}
 
@@ -317,8 +322,8 @@ def in_python_words(message: str, command: type[Command]) -> str:
 def command_line(name: str, command: Command) -> str:
     """Return the command line that repeats a command, without options that do not affect its result.
 
-    Paths are shortened to their last part where they lead outside the working folder, since the line is stored in
-    datasets that are given to others.
+    Paths are shortened to their last part where they lead outside the working folder, because the line is stored in
+    datasets that may be published.
     """
     assert dataclasses.is_dataclass(command)
     words = ["h3data", *name.split()]

@@ -1,8 +1,7 @@
 """Interface through which commands distribute work to processes.
 
-A *shard* is a piece of a job that depends on nothing but itself: work may be lost with the process that does it, and done
-again by another, with the same result. Results are values, so that a machine needs no disk in common with this one to make
-them.
+A *shard* is an independent part of a job: if the process that works on it dies, another process can repeat the work
+with the same result. Results are returned as values, so machines need no shared disk.
 """
 
 from __future__ import annotations
@@ -41,12 +40,15 @@ class Executor(Protocol):
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Yield the result of ``work`` for each shard, in their order. An error that it raises ends the job.
+        """Yield the result of ``work`` for each shard, in order.
+
+        An error that ``work`` raises ends the job.
 
         Args:
             work: A function of a module, or a `functools.partial` of one.
             shards: Values that can be pickled, one for each call.
-            lost: The result of a shard that no process survives; None ends the job with its `LostShardError`.
+            lost: Function that returns the result of a shard whose process died in every attempt; None ends the job
+                with a `LostShardError`.
             writes: True if ``work`` writes files, so that no shard may run twice at once.
         """
         ...

@@ -1,7 +1,9 @@
-"""Built-in file formats, and how each is recognised. The first format that fits is used, so the order matters.
+"""Built-in file formats with the rules by which they are recognised.
 
-Habitat's and those of ROS are recognised here, so that a message can name them; what reads and writes them comes from
-h3data_habitat and h3data_ros by the group ``h3data.formats``, whose entries take the places of the rows with their names.
+The first format that matches is used, so the order matters.
+
+Formats of Habitat and ROS are recognised here so that messages can name them. Their readers and writers are in
+h3data_habitat and h3data_ros, which register them in the group ``h3data.formats`` and so replace these entries.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
     """Import the function that reads or writes a format.
 
     Raises:
-        PluginError: it cannot be imported.
+        PluginError: the function cannot be imported.
     """
     function = getattr(chosen, field)
     if not isinstance(function, str):
@@ -62,10 +62,12 @@ def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
 
 # --- detection --------------------------------------------------------------------------------------------------------
 def detect(path: str | os.PathLike[str]) -> Format:
-    """Return the format of a file, from its content; gzip is unpacked. A file name only decides between kinds of config.
+    """Detect the format of a file from its content, unpacked if it is gzip.
 
-    Of a gfx-replay as habitat-sim writes it only the beginning is read. NaN and Infinity, which are not JSON, are accepted:
-    a file that cannot be read still has a format. Third-party formats are asked where no built-in reader fits.
+    The file name only distinguishes kinds of config files.
+
+    Only the start of a gfx-replay by habitat-sim is read. NaN and Infinity are accepted although they are not JSON,
+    because a file that cannot be read still has a format. Third-party formats are tried if no built-in reader matches.
 
     Raises:
         InputError: there is no such file.
@@ -86,7 +88,7 @@ def detect(path: str | os.PathLike[str]) -> Format:
 
 
 def format_by_beginning(head: bytes) -> Format:
-    """Return the built-in format of a file that begins with ``head``; `JSON` where its members must be asked."""
+    """Return the built-in format of a file that starts with ``head``, or `JSON` if the format depends on its members."""
     return _registered(_by_beginning(head))
 
 

@@ -25,7 +25,7 @@ class Format:
     title: str
     """Noun phrase for messages, such as "a gfx-replay recording"."""
     begins: re.Pattern[bytes] | None = None
-    """Pattern of the first bytes of such files, after gzip and a byte order mark."""
+    """Pattern of the first bytes of files in the format, after gzip and a byte order mark."""
     members: Callable[[Mapping[str, Any], str], bool] | None = None
     """Function that returns whether a JSON document with these top-level members, in a file of this name, has the
     format. Only ``keyframes`` is decoded; other objects are given as {}, anything else as None."""
@@ -48,7 +48,7 @@ class Format:
     write_options: tuple[
         Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras", "storage", "lidar"], ...
     ] = ()
-    """Names of options of `h3data export` that apply; the others are refused."""
+    """Names of options of `h3data export` that the format supports; other options are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
@@ -65,21 +65,21 @@ class ImportRequest:
     """Options of the import of tracks of robots and people."""
 
     people: str = ""
-    """Topic of people in a bag; empty: the only one."""
+    """Topic of people in a ROS bag; empty for the only one."""
     robot: str = ""
-    """Frame or topic of the robot in a bag, or its id in a file of tracks."""
+    """Frame or topic of the robot in a ROS bag, or its id in a file of tracks."""
     map: Path | None = None
     """Path of the yaml file of an occupancy map, whose walls become the scene."""
     goal: str = ""
     """Goal of the robot, ``x,y`` in the frame of the map [m]."""
     columns: Sequence[str] = ()
-    """Names of the columns of a table: in their order, or as ``meaning=name``."""
+    """Names of the columns of a table, in their order or as ``meaning=name``."""
     unit: LengthUnit | None = None
     """Unit of lengths in a file of tracks; None: that of its format."""
     rate: float | None = None
-    """Frame numbers per second in a file of tracks."""
+    """Frames per second in a file of tracks [1/s]."""
     hz: float | None = None
-    """Rows per second; None: a row for each observation."""
+    """Rows per second of the recording [1/s]; None for a row per observation."""
     model: str = ""
     """Body of the robot: a name, or a file in URDF or another format of robots; empty: a cylinder."""
 
@@ -89,7 +89,7 @@ class ExportRequest:
     """Options of an export, besides the recordings."""
 
     out: Path
-    """File or folder to write; parents of a file, and the folder, exist."""
+    """File or folder to write; the folder, or the parent folder of the file, exists."""
     force: bool = False
     """True if existing files may be replaced."""
     agent: str | None = None

@@ -1,4 +1,4 @@
-"""Bytes and JSON of other programs' files: unpacked within limits, and read once for detection and reading."""
+"""Access to files of other programs, which are unpacked within limits and read once for detection and import."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 class SourceFile(os.PathLike[str]):
-    """File of another program, read once: its beginning shows its format, whose reader continues from there.
+    """File of another program, whose start is read to detect its format and not read again by its reader.
 
     Gzip data is unpacked. Every member raises `InputError` if there is no such file, `FormatError` if it is damaged.
     """
@@ -35,7 +35,7 @@ class SourceFile(os.PathLike[str]):
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> SourceFile:
-        """Return a path as a source file; one that is a source file already is returned as it is, and not read again."""
+        """Return a path as a source file; an existing source file is returned unchanged and not read again."""
         return path if isinstance(path, SourceFile) else cls(path)
 
     def __fspath__(self) -> str:
@@ -53,7 +53,7 @@ class SourceFile(os.PathLike[str]):
         return b"".join(self.chunks())
 
     def chunks(self) -> Iterator[bytes]:
-        """Yield the content in pieces, which only the caller holds in memory."""
+        """Yield the content in pieces, without storing it in memory."""
         if "data" in self.__dict__:
             yield self.data
             return
@@ -119,7 +119,10 @@ def _unpacked(raw: BinaryIO, path: Path, size: int) -> Iterator[bytes]:
 
 
 def decode_json(data: bytes, kind: Any = Any) -> Any:
-    """Return the JSON document as ``kind``; every fault is a `msgspec.DecodeError`. A byte order mark is skipped."""
+    """Decode a JSON document as ``kind``, skipping a byte order mark.
+
+    All faults raise a `msgspec.DecodeError`.
+    """
     try:
         return msgspec.json.decode(data.removeprefix(BYTE_ORDER_MARK), type=kind)
     # brackets a hundred thousand deep fit into a small file

@@ -1,6 +1,6 @@
 """Arrays of a glTF document: accessors over buffer views, checked against the bytes available (glTF 2.0, 3.6).
 
-Faults raise `ValueError` with the key (``accessors[3].count``); callers add the file's name.
+Faults raise a `ValueError` that names the key, such as ``accessors[3].count``; callers add the name of the file.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MESHOPT = "EXT_meshopt_compression"
 
 @dataclass(frozen=True)
 class GltfArrays:
-    """The accessors and buffer views of one document."""
+    """Accessors and buffer views of one glTF document."""
 
     codecs: ClassVar[Registry[Callable[..., NDArray[np.uint8]]]] = Registry(
         "h3data.gltf_codecs", {}, what="codec of glTF files"
@@ -32,7 +32,7 @@ class GltfArrays:
     _unpacked: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def accessor(self, index: object) -> NDArray[Any]:
-        """Return the elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
+        """Return the elements of an accessor as stored, [count] or [count, width], if possible as a view of the bytes."""
         record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
         widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
         if record.get("type") not in widths:
@@ -51,7 +51,7 @@ class GltfArrays:
         return array[:, 0] if width == 1 else array
 
     def floats(self, index: object) -> NDArray[Any]:
-        """Return the elements as float32; normalised integers become 0..1 or -1..1."""
+        """Return the elements of an accessor as float32; normalised integers become 0..1 or -1..1."""
         array = self.accessor(index)
         if array.dtype.kind == "f" or not entry(self.document, "accessors", index).get("normalized"):
             return array.astype(np.float32, copy=False)

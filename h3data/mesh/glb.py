@@ -26,7 +26,7 @@ GLTF_1_HINT = "which is not read. Hint: npx gltf-pipeline -i IN.gltf -o OUT.glb 
 
 
 class GlbChunk:
-    """A binary chunk under construction, with its buffer views and accessors."""
+    """Binary chunk of a GLB under construction, with its buffer views and accessors."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -52,7 +52,10 @@ class GlbChunk:
         return len(self.accessors) - 1
 
     def vectors(self, values: NDArray[Any], *, limits: bool = False) -> int:
-        """Append float32 vectors per vertex, shape [V, 2..4]; return their accessor. glTF wants ``limits`` of positions."""
+        """Append float32 vectors per vertex, shape [V, 2..4].
+
+        Return their accessor. glTF requires ``limits`` for positions.
+        """
         values = values.astype("<f4")
         more = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if limits else {}
         return self.array(values, f"VEC{values.shape[1]}", FLOAT32, VERTICES, **more)
@@ -67,7 +70,7 @@ class GlbChunk:
         return {"bufferView": self.view(png_bytes(pixels, gray=gray)), "mimeType": "image/png", "name": name}
 
     def part(self, index: int, start: int, count: int) -> int:
-        """Append an accessor to some elements of another one, which holds 32-bit scalars; return its index."""
+        """Append an accessor for a range of elements of another one, which holds 32-bit scalars; return its index."""
         self.accessors.append({**self.accessors[index], "byteOffset": 4 * start, "count": count})
         return len(self.accessors) - 1
 
@@ -89,7 +92,7 @@ def gltf_document(
 
 
 def placement(pose: Array, scale: Array) -> dict[str, Any]:
-    """Return the members of a node that place it: pose7 and scale, both float64."""
+    """Return the members of a glTF node for its pose7 and scale, both float64."""
     rotation = np.clip(normalized(pose[3:]), -1, 1)  # validators refuse 1.0000000000000002
     return {"translation": pose[:3].tolist(), "rotation": rotation.tolist(), "scale": scale.tolist()}
 
@@ -101,7 +104,7 @@ def matte(texture: int | None = None, **more: Any) -> dict[str, Any]:
 
 
 def cutout(pixels: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return the members of a material whose texture [H, W, 4] is not opaque everywhere."""
+    """Return the members of a material for the opacity of its texture [H, W, 4], empty if it is opaque."""
     return {} if (pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
 
 
@@ -126,10 +129,10 @@ def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[st
     Args:
         data: the bytes of the file.
         where: path of the file, for error texts.
-        what: what was expected, for error texts.
+        what: kind of file that was expected, for error texts.
 
     Raises:
-        FormatError: the bytes are something else, truncated or damaged.
+        FormatError: the bytes are not a GLB, truncated or damaged.
     """
     if data[:4] != _MAGIC:
         raise FormatError(f"Expected {what} (first bytes 'glTF'), got {data[:4]!r}. File: {where}", code="H3-MESH-001")

@@ -1,8 +1,8 @@
-"""Reader of glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
+"""Reader of glTF 2.0 files (GLB, or JSON with separate files): buffers, node graph and primitives.
 
-Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins stand
-as their joints do in the file (`h3data.recording.assets.skinned_meshes` poses them), morph targets have the weights of the
-file; points and lines are ignored.
+Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins
+have the pose of their joints in the file (`h3data.recording.assets.skinned_meshes` poses them), and morph targets the
+weights in the file. Points and lines are ignored.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ _log = logging.getLogger(__name__)
 
 
 class GltfFile:
-    """One glTF file. Faults raise `SceneError` or `ValueError` with the key; `h3data.mesh.loading` adds the file."""
+    """Reader of one glTF file.
+
+    Faults raise a `SceneError` or `ValueError` that names the key; `h3data.mesh.loading` adds the file.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -127,7 +130,10 @@ class GltfFile:
         ]
 
     def instances(self, index: int) -> NDArray[np.float64]:
-        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame; one if it is not instanced."""
+        """Return the matrices [N, 4, 4] of a node's instances of its mesh, in the node's frame.
+
+        The result is a single matrix if the node is not instanced.
+        """
         where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
         record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
         found = {
@@ -157,7 +163,7 @@ class GltfFile:
 
     # --- triangles ----------------------------------------------------------------------------------------------------
     def mesh(self, node: dict[str, Any]) -> list[PlainMesh]:
-        """Return the primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
+        """Return the primitives with triangles of the mesh of ``node``, in the mesh's own frame; they are read once.
 
         Morph targets are added with the node's weights, or else with the mesh's.
         """
@@ -188,7 +194,8 @@ class GltfFile:
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
         """Yield every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
 
-        A skin comes posed in that frame by its joints: the transforms of its node do not count (glTF 3.7.3.3).
+        A skinned primitive is posed in the file's frame by its joints; the transforms of its node are ignored (glTF
+        3.7.3.3).
         """
         for part, matrix, skin in self.skinned_parts():
             if skin is None or part.influences is None:

@@ -30,11 +30,14 @@ class Look:
     uv_set: int = 0
     """Number n of the attribute ``TEXCOORD_n``."""
     uv_transform: NDArray[np.float64] | None = None
-    """Matrix [2, 3] applied to the file's texture coordinates; None leaves them."""
+    """Matrix [2, 3] applied to the file's texture coordinates; None for no change."""
 
 
 class GltfMaterials:
-    """Materials of one document. One warning reports all unreadable images; their materials keep the factor."""
+    """Materials of one glTF document.
+
+    Materials with unreadable images have their colour factor alone, and one warning reports all such images.
+    """
 
     def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
         self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where

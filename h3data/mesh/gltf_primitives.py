@@ -20,14 +20,14 @@ from h3data.srgb import bytes_to_linear, linear_to_bytes
 DEFAULT_COLOR = (204, 204, 204)
 """Colour (sRGB) of surfaces without a colour in their file."""
 MAX_TRIANGLES = 30_000_000
-"""Limit of triangles per file, instances counted; larger files are refused before anything is read."""
+"""Limit of triangles per file, including those of instances; larger files are refused before anything is read."""
 
 _STRIP, _FAN = 5, 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlainMesh:
-    """The triangles of one primitive, and the vertices that they use."""
+    """Triangles of one primitive, and the vertices that they use."""
 
     vertices: NDArray[Any]
     """Positions of the vertices, shape [V, 3]."""
@@ -64,7 +64,7 @@ def read_primitive(
     *,
     weights: Sequence[float] = (),
 ) -> PlainMesh:
-    """Read the triangles of ``primitive``, found at ``where`` in the document, its morph targets added by ``weights``.
+    """Read the triangles of ``primitive`` at ``where`` in the document, with morph targets added by ``weights``.
 
     Raises:
         ValueError: the primitive is not valid glTF; the message names the key.

@@ -21,7 +21,7 @@ from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MAX_SIDE_PX, MAX_FILE_PX = 2048, 1 << 27
 """Largest side of an image, and largest number of texels in all images of one file (512 MiB). Larger images are reduced
-by 2, 4, ... until they fit; a picture of a room shows no more detail."""
+by 2, 4, ... until they fit; images of rooms need no more detail."""
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
@@ -69,8 +69,8 @@ def image_texture(
 ) -> Texture:
     """Decode an image, reduced to fit into ``side`` x ``side``; equal content gives the same object.
 
-    The opacity of every texel is first multiplied by ``opacity``. ``OPAQUE`` then makes all texels opaque; ``MASK`` makes
-    those opaque that reach ``cutoff``, and all others clear.
+    The opacity of every texel is first multiplied by ``opacity``. ``OPAQUE`` then makes all texels opaque; ``MASK``
+    makes texels with at least ``cutoff`` opaque, and all others transparent.
 
     Raises:
         SceneError: the image cannot be read; the message is the reason alone.
@@ -87,7 +87,7 @@ def image_texture(
 
 
 def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) -> Texture:
-    """Return the opaque texture of an open Pillow image; see `image_texture`."""
+    """Return the opaque texture of an open Pillow image; with the limits of `image_texture`."""
     _acceptable(*picture.size)
     pixels = reduced(_pixels(picture, side), side)
     key = (hashlib.sha256(pixels.tobytes()).digest(), pixels.shape, "picture")

@@ -38,15 +38,15 @@ def load_mesh(
     """Load the triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
-    (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Collada files say their unit and ``up_axis`` themselves; they
-    arrive as robots have them, in metres and with +Z up, and ``up``, ``front`` and ``units_m`` act on that.
+    (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Collada files state their unit and ``up_axis``; they are
+    first converted to metres with +Z up, as robots have them, and then ``up``, ``front`` and ``units_m`` are applied.
 
     Colours are sRGB per vertex: the file's vertex colours times the material's base colour, in linear light. Base
     colour textures are kept (PNG, JPEG, WebP; KTX2 with Basis Universal if ``h3data[gltf]`` is installed), equal
-    images as one `Texture`, reduced to at most 2048 texels a side; samplers that clamp or mirror repeat instead. Where
-    every triangle shows a single texel, as with a palette, it takes the texel's colour and the texture is dropped. If an
-    image cannot be read, its surfaces keep the material's colour, and one warning per file says why. Without normals in
-    the file, `Mesh.normals` is None, which shades flat.
+    images as one `Texture`, reduced to at most 2048 texels a side; samplers that clamp or mirror are treated as
+    repeating. If every triangle uses a single texel, as with a palette, triangles get the texel's colour and the
+    texture is dropped. If an image cannot be read, its surfaces have the material's colour, and one warning per file
+    states the reason. Without normals in the file, `Mesh.normals` is None, so that the mesh is shaded flat.
 
     The result is cached per file, time stamp and frame: do not write to it.
 
@@ -77,7 +77,7 @@ def is_file(path: Path) -> bool:
 
 
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation [3, 3] from a file's frame to ours: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
+    """Return the rotation [3, 3] from a file's frame to h3data's: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
@@ -101,7 +101,10 @@ def load_parts(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> list[Mesh]:
-    """Load the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raises as `load_mesh` does."""
+    """Load a file as separate parts, one mesh per primitive and node.
+
+    The parts are not cached. Errors are those of `load_mesh`.
+    """
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m

@@ -13,7 +13,10 @@ from h3data.mesh.mesh import Mesh, Texture
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Join meshes (at least one) into one. Normals survive only if every part has them; textures always do."""
+    """Join meshes (at least one) into one.
+
+    The result has normals only if every part has them; textures are always included.
+    """
     if len(meshes) == 1:
         return meshes[0]
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
@@ -48,7 +51,7 @@ def face_texture_indices(mesh: Mesh) -> NDArray[np.int16]:
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """Return the surface with separate corners for each triangle and its face normal at all three."""
+    """Return the mesh with separate corners for each triangle, which have its face normal."""
     corners = mesh.faces.ravel()
     a, b, c = mesh.vertices[mesh.faces].astype(np.float64).swapaxes(0, 1)
     normals = normalized(np.cross(b - a, c - a)).astype(np.float32)
@@ -64,7 +67,7 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def painted(mesh: Mesh, color: Sequence[int]) -> Mesh:
-    """Return the mesh in one sRGB colour 0..255, without its textures."""
+    """Return the mesh in a single sRGB colour, 0 to 255, without its textures."""
     colors = np.broadcast_to(np.asarray(color, np.uint8), mesh.vertices.shape).copy()
     return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
 

@@ -1,4 +1,4 @@
-"""Lossless PNG of texels and back; grey images take one channel, opaque ones no alpha channel."""
+"""Lossless conversion of texels to PNG and back; grey images take one channel, and opaque images no alpha channel."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_PX = 1 << 26
 def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
     """Return the PNG of texels [H, W, 4]; the same texels give the same bytes. Raises `ValueError` above `MAX_PX`.
 
-    Without ``gray``, grey images keep three channels too: some programs show a single channel as red.
+    If ``gray`` is False, grey images have three channels too, because some programs display a single channel as red.
     """
     from PIL import Image
 
@@ -31,7 +31,10 @@ def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
 
 
 def png_pixels(data: bytes | memoryview) -> NDArray[np.uint8]:
-    """Return the texels [H, W, 4] of a PNG. Raises `ValueError` if it is no PNG, damaged, or larger than `MAX_PX`."""
+    """Return the texels [H, W, 4] of a PNG.
+
+    Raises `ValueError` if it is not a PNG, damaged, or larger than `MAX_PX`.
+    """
     from PIL import Image
 
     try:

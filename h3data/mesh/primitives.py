@@ -24,10 +24,10 @@ def is_primitive(name: str) -> bool:
 
 @lru_cache(maxsize=256)
 def primitive_mesh(name: str) -> Mesh:
-    """Return the primitive that habitat-sim shows under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
+    """Return the mesh of habitat-sim's primitive with a name such as ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
 
     All have radius (or half edge) 1 and the y axis as their axis; ``halfLen`` is half the length of the straight part.
-    Segments start at +Z, as Magnum's do. Wireframes are lines: they become a mesh without triangles.
+    Segments start at +Z, as in Magnum. Wireframes consist of lines and become a mesh without triangles.
     """
     match = _NAME.match(name)
     if match is None:
@@ -92,7 +92,10 @@ def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequ
 def round_mesh(
     radius: float, length: float, color: tuple[int, int, int], *, caps: bool, segments: int = 20, rings: int = 6
 ) -> Mesh:
-    """Return a capsule (``caps``) or a cylinder along z, centred at the origin, smooth; a capsule of length 0 is a sphere."""
+    """Return a capsule (``caps``) or a cylinder along z, centred at the origin, with smooth normals.
+
+    A capsule of length 0 is a sphere.
+    """
     half = length / 2
     if caps:
         angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * rings)

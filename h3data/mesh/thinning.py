@@ -12,10 +12,10 @@ from h3data.mesh.mesh import Mesh
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ThinMesh:
-    """A subset of a mesh's vertices and the triangles between them."""
+    """Thinned mesh: a subset of a mesh's vertices and the triangles between them."""
 
     keep: NDArray[np.int64]
-    """Indices of the remaining vertices in the full mesh, shape [K]; they thin other poses of the mesh equally well."""
+    """Indices of the remaining vertices in the full mesh, shape [K]; they can be used for all poses of the mesh."""
     faces: NDArray[np.int32]
     """Indices into ``keep``, shape [F, 3]."""
 
@@ -23,7 +23,7 @@ class ThinMesh:
 def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
     """Thin a mesh to at most ``max_vertices`` vertices: one per occupied cell of a grid, whose size is bisected.
 
-    A mesh that is small enough is kept whole. The kept vertices are original ones rather than cell averages, so a
+    A mesh that is small enough is unchanged. The remaining vertices are original ones rather than cell averages, so a
     skinned mesh thinned in its rest pose is valid in every pose.
     """
     count = len(mesh.vertices)

@@ -1,6 +1,7 @@
 """Profile ``task``: success, reward, time and contacts of any task, from the columns that its recorder writes.
 
-It measures every recording, including those of tasks that no other profile names: what a recording lacks is undefined.
+It measures every recording, including those of tasks that no other profile names: metrics whose data a recording lacks
+are undefined.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _SOURCE = "h3data"
 
 
 def any_task_series(recording: Recording) -> Series:
-    """Compute the flags ``success`` and ``collision`` and the quantity ``reward``, each [T], as far as recorded."""
+    """Compute the flags ``success`` and ``collision`` and the quantity ``reward``, each [T], if they are recorded."""
     columns = recording.columns
     series: dict[str, NDArray] = {
         name.removeprefix("metrics."): _flags(columns[name]) for name in (SUCCESS, COLLISION) if name in columns

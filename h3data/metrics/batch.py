@@ -34,13 +34,13 @@ from h3data.recording.storage import AnyPath, RemotePath
 
 @dataclass(frozen=True)
 class Part:
-    """Episodes that are measured together, by one worker."""
+    """Episodes that one worker measures together."""
 
     source: AnyPath
     episodes: range | None
     """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Name of the job of the part; within a job, datasets stay open."""
+    """Name of the job to which the part belongs; datasets stay open until the job ends."""
 
 
 F = TypeVar("F")
@@ -50,7 +50,7 @@ does it in this process."""
 Measured = EpisodeMetrics | tuple[str, str, str]
 """Metrics without the functions that compute them, or the name, message and reason of an episode that was left out.
 
-All of it can be sent between processes.
+Both can be sent between processes.
 """
 
 
@@ -64,7 +64,7 @@ class LeftOut:
 
     @property
     def reason(self) -> str:
-        """Reason why the episodes were left out: a common one, or the fault of a damaged one."""
+        """Reason why the episodes were left out: a reason that several share, or the fault of a damaged one."""
         return self.error.reason if isinstance(self.error, UnmeasurableError) else str(self.error)
 
 
@@ -83,7 +83,7 @@ def measure_files(
         paths: Files and folders.
         profile: Name of a profile (default: that of each recording's task).
         workers: Number of threads (default: one per core). The result does not depend on it.
-        spread: Has other processes or machines do the work, in place of threads.
+        spread: Function that distributes the work to other processes or machines instead of threads.
 
     Raises:
         InputError: there is no recording; an episode occurs twice; metrics, steps or units differ; see `tabulate`.
@@ -102,7 +102,7 @@ def measure_tables(
 ) -> tuple[MetricsTable, ...]:
     """Measure files as `measure_files` does, with a table for each task whose metrics differ.
 
-    The notes of the first table list what is left out.
+    The first table lists the episodes that are left out.
     """
     rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
@@ -123,7 +123,7 @@ def measure_sources(
 ) -> Iterator[EpisodeMetrics | LeftOut]:
     """Yield the metrics of each episode of datasets and logs in order, or the reason for failure.
 
-    A chunk of episodes per worker is in memory.
+    Each worker holds a chunk of episodes in memory.
     """
     if profile is not None:
         profiles_named(profile)  # a misspelt name fails before the first episode is read
@@ -144,7 +144,7 @@ def measure_sources(
 
 
 def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
-    """Return the episodes of datasets and logs in parts of about a second, in order."""
+    """Split the episodes of datasets and logs into parts that each take about a second to measure, in order."""
     job = uuid.uuid4().hex
     parts: list[Part] = []
     for source in sources:
@@ -158,7 +158,7 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
-    """Return the results of `measure_sources` for a part, in a form that can be sent."""
+    """Return the results of `measure_sources` for a part, in a form that can be sent between processes."""
     if part.episodes is None:
         results = _attempts([(str(part.source), read_log(part.source))], profile)
     else:
@@ -173,9 +173,9 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """Yield the episodes of a part by their numbers; instead of a damaged one, the error.
+    """Yield the recordings of a part with their numbers; a damaged recording is replaced by its error.
 
-    Of a dataset, only the columns that the profile needs are read.
+    From a dataset, only the columns that the profile needs are read.
     """
     if part.episodes is None:
         yield 0, read_log(part.source)
@@ -186,7 +186,7 @@ def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[in
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
-    """Return the results of a part that could not be measured."""
+    """Return the results of a part whose worker failed: a reason for each episode."""
     names = [str(part.source)] if part.episodes is None else [f"{part.source}#{index}" for index in part.episodes]
     return [(name, str(fault), str(fault)) for name in names]
 
@@ -198,7 +198,7 @@ def _opened(source: AnyPath, job: str) -> Dataset:
 
 
 def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
-    """Return the metrics without the functions that compute them, to send them between processes."""
+    """Return metrics without the functions that compute them, so that they can be sent between processes."""
     return replace(measured, metrics=_described(measured.metrics))
 
 

@@ -1,4 +1,4 @@
-"""Differences between two runs over the same episodes: changed metrics, by how much, and in which episodes."""
+"""Differences of the metrics of two runs over the same episodes, in total and per episode."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Differences:
     episode_ids: tuple[str, ...]
     """Names of the pairs (`pairing_names`)."""
     first: dict[str, NDArray[np.float64]]
-    """Values by metric, in the order of ``episode_ids``; NaN = undefined."""
+    """Values of the first run by metric, in the order of ``episode_ids``; NaN = undefined."""
     second: dict[str, NDArray[np.float64]]
     tests: dict[str, PairedComparison]
     """Means, interval, test and effect size by metric."""
@@ -102,7 +102,8 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
     """Pair the episodes of two runs by `pairing_names`; p values are adjusted for all metrics together (Holm).
 
     Raises:
-        InputError: the runs hold different episodes or profiles, or a name means two episodes; the message names them.
+        InputError: the runs hold different episodes or profiles, or two episodes have the same name; the message names
+            them.
     """
     if (first.profile, first.metrics) != (second.profile, second.metrics):
         raise InputError(

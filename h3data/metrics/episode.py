@@ -30,7 +30,7 @@ class EpisodeMetrics:
     values: Mapping[str, float]
     """Values by metric name; NaN = this recording does not determine it, see ``notes``."""
     notes: Mapping[str, str]
-    """Reasons by metric name: why it is undefined, or what replaced missing data."""
+    """Notes by metric name: the reason why the metric is undefined, or the replacement of missing data."""
     robot: int = -1
     """Index of the robot that was measured; -1 = none in particular."""
     human: int = -1
@@ -39,7 +39,7 @@ class EpisodeMetrics:
     """First row in which a flag of the profile's series held: ``found``, ``collision``, ``done``; absent if never."""
     rows: int
     task: str
-    """Task of the metrics; for profiles that measure any task, that of the recording."""
+    """Task of the metrics; for profiles that measure any task, the task of the recording."""
     task_is_assumed: bool = False
     """True if the recording, a gfx-replay, does not state its task, so that ``task`` is an assumption."""
     scene: str = ""
@@ -56,7 +56,8 @@ class EpisodeMetrics:
     policy: str = ""
     """Policy of the robot, ``info:policy``."""
     partner: str = ""
-    """Policy of the person, ``info:partner``; of a recording that several partners share, one of them (`for_each_partner`)."""
+    """Policy of the person, ``info:partner``; one of them if several partners share the recording
+    (`for_each_partner`)."""
     max_steps: int = 0
     """Longest duration, ``info:max_steps``; the number of rows if it is not recorded."""
 
@@ -100,7 +101,7 @@ class EpisodeMetrics:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurement as JSON types; NaN and infinities become None."""
+        """Return the metrics and notes as JSON types; NaN and infinities become None."""
         return {
             "episode_id": self.episode_id,
             "uid": self.uid,
@@ -124,9 +125,9 @@ class EpisodeMetrics:
 
 
 def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """Return a sentence on recordings of one profile that do not state their task, and on profiles of other tasks.
+    """Return a sentence about recordings whose task is assumed, which names the profiles of other tasks.
 
-    The text is empty without such recordings.
+    The text is empty if all recordings state their task.
     """
     tasks = [episode.task for episode in episodes if episode.task_is_assumed]
     if not tasks:
@@ -145,7 +146,7 @@ def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
 def deviation_lines(deviations: Iterable[str]) -> list[str]:
     """Return lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`).
 
-    The most frequent ones come first.
+    The most frequent deviations come first.
     """
     counted = Counter(text for text in deviations if text)
     lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
@@ -153,15 +154,15 @@ def deviation_lines(deviations: Iterable[str]) -> list[str]:
 
 
 def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
-    """Return the lines about notes, each with the names of its metrics; none without any."""
+    """Return a line for each note, with the names of its metrics; no lines if there are no notes."""
     lines = [f"  {', '.join(names)}: {text}" for text, names in notes.items()]
     return ["Notes", *lines] if lines else []
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the partners with the same plan, who share a recording.
+    """Return the partners that share a recording because they have the same plan.
 
-    They are in ``info["partners"]`` of recordings of ``h3data evaluate --save-recordings``.
+    The partners are in ``info["partners"]`` of recordings that ``h3data evaluate --save-recordings`` writes.
     """
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
@@ -174,7 +175,7 @@ def for_each_partner(measured: EpisodeMetrics, info: Mapping[str, Any]) -> list[
 
 @dataclass
 class Notes:
-    """Notes on metrics, collected in order."""
+    """Collection of notes on metrics, in the order in which they are added."""
 
     lines: dict[str, list[str]] = field(default_factory=dict)
 

@@ -18,7 +18,7 @@ class StatsConfig:
     dis_threshold_for_backup_yield: float = 1.5
     """Distance (L2) within which moving back counts as yielding [m], inclusive."""
     min_abs_vel_for_yield: float = 1.0
-    """Least speed that counts as yielding, in Habitat's units: 1 is 1/120 m per step, 0.25 m/s."""
+    """Smallest speed that counts as yielding, in Habitat's units: 1 is 1/120 m per step, 0.25 m/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class RewardConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SuccessConfig:
-    """Settings of habitat-lab's ``SocialNavSeekSuccess``."""
+    """Settings of habitat-lab's ``SocialNavSeekSuccess`` measure."""
 
     # 500 in Habitat's yaml; this is the README's and the paper's (spec/habitat.md 1.1)
     following_step_succ_threshold: int = 400

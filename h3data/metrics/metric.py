@@ -41,19 +41,19 @@ class Metric:
     """Paper, section or code that defines the metric."""
     columns: tuple[str, ...] = ()
     """Required data. ``<robot>`` and ``<human>`` are agent numbers, ``<i>`` is every agent; ``info:<key>`` is a key of
-    `Episode.info`, ``events:<kind>`` a kind of event. ``a or b``: one of the two is enough."""
+    `Episode.info`, ``events:<kind>`` a kind of event. ``a or b`` means that one of the two is enough."""
     optional: tuple[str, ...] = ()
     """Columns that are read where present; a note states their replacement if they are missing."""
     undefined: str = ""
     """Description of the episodes in which the metric has no value."""
     series: tuple[str, ...] = ()
-    """Series of the profile, per row, that decide the metric."""
+    """Names of the profile's per-row series from which the metric follows."""
     binary: bool = False
     """True if the metric is 0 or 1 in an episode, so that its mean is a proportion and gets a Wilson interval."""
     reading: str = ""
     """Interpretation of points that the source leaves open."""
     habitat: str = ""
-    """Difference from what Habitat's code computes (spec/habitat.md 1.6)."""
+    """Difference from the computation in Habitat's code (spec/habitat.md 1.6)."""
     value: Callable[[Recording], float] | None = None
     """Function that computes the metric from a recording with its ``columns`` and at least one row. None where the profile
     computes all its metrics together."""

@@ -14,7 +14,8 @@ from h3data.metrics.requirements import UnmeasurableError, note_missing, require
 from h3data.recording.records import Recording
 
 GFX_REPLAY = "gfx_replay"
-"""Value of `Episode.task` for imported gfx-replays, which do not say their task. A profile that lists it measures them."""
+"""Value of `Episode.task` for imported gfx-replays, which do not state their task. A profile that lists it measures
+them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +72,8 @@ class Profile:
     tasks: tuple[str, ...] = ()
     """Values of `Episode.task` that the profile measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
-    """Function that computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
+    """Function that computes all metrics of a recording together and adds notes; None if each metric has a
+    `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """Function that computes the metrics of several recordings at once, instead of `compute`: on one episode, NumPy's
     calls take longer than the arithmetic."""
@@ -79,8 +81,8 @@ class Profile:
     """Function that computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
     beside: str = ""
-    """Key of `Episode.info`. Reports also measure recordings that have this key by this profile, in a table of its
-    own."""
+    """Key of `Episode.info`. Reports also measure recordings that have this key by this profile, in a separate
+    table."""
 
     def __post_init__(self) -> None:
         wrong = [m.id for m in self.metrics if m.profile != self.name]
@@ -115,7 +117,10 @@ class Profile:
         return self._measured(recording, notes, self._computed(recording, notes))
 
     def measure_many(self, recordings: Sequence[Recording]) -> list[EpisodeMetrics | UnmeasurableError]:
-        """Compute all metrics of the profile for several recordings; for each that fails, the reason."""
+        """Compute all metrics of the profile for several recordings.
+
+        A recording that cannot be measured gets the reason instead.
+        """
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which

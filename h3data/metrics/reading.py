@@ -13,11 +13,11 @@ from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.storage import AnyPath
 
 _CHUNK, _CHUNK_ROWS = 128, 50_000
-"""Largest numbers of episodes and of rows that are read together from a dataset: some MB."""
+"""Largest numbers of episodes and of rows that are read together from a dataset, which amount to some MB."""
 
 
 def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
-    """Yield the recordings of datasets and log, from datasets with no more than the profile reads.
+    """Yield the recordings of datasets and logs; from datasets, only the columns that the profile reads are read.
 
     Args:
         sources: Sources found by `find_sources`.
@@ -33,7 +33,7 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
 
 
 def only(source: AnyPath) -> Recording:
-    """Return the recording in a file that is not a dataset."""
+    """Return the single recording in a file that is not a dataset."""
     opened = open_recording(source)
     if isinstance(opened, Dataset):
         raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}", code="H3-METRIC-022")

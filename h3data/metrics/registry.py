@@ -50,7 +50,7 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
 
 @functools.cache  # entry points are files: looking them up again for each of 10,000 episodes would take a minute
 def profiles_named(name: str) -> tuple[Profile, ...]:
-    """Return the profiles of a name or ``module:name``, one per task.
+    """Return the profiles with a name or ``module:name``, one per task.
 
     Raises:
         InputError: nothing has this name; the message lists the names.
@@ -92,8 +92,9 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
     module that the user has trusted (`h3data.plugins.trust`, ``--trust``).
 
     Raises:
-        InputError: as for `find_profile`; if ``info`` gives the name, the message says so.
-        UntrustedNameError: ``info["profile"]`` is of a module that nobody has trusted.
+        InputError: nothing has this name, or it does not measure the task; the message states whether ``info`` gave the
+            name.
+        UntrustedNameError: ``info["profile"]`` refers to a module that the user has not trusted.
     """
     if name is not None:
         return find_profile(name, task)
@@ -118,14 +119,15 @@ def _profile_naming(task: str) -> Profile:
 
 
 def metrics_of(profile: str, task: str | None = None) -> tuple[Metric, ...]:
-    """Return all metrics of a profile for a task; None: for its first one."""
+    """Return all metrics of a profile for a task; by default, for the first task of the profile."""
     return find_profile(profile, task).metrics
 
 
 def find_metric(name: str, *, profile: str | None = None) -> Metric:
     """Return the metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
 
-    A short name that several profiles have is that of ``profile``, else of the first profile that has it.
+    If several profiles have a metric with a short name, it is searched in ``profile``, then in the other profiles in
+    order.
     """
     preferred = [m for p in profiles_named(profile) for m in p.metrics] if profile is not None else []
     every = [*preferred, *(m for m in all_metrics() if m not in preferred)]
@@ -149,11 +151,13 @@ def all_metrics() -> list[Metric]:
 
 
 def measure(recording: Recording, profile: str | None = None) -> EpisodeMetrics:
-    """Measure one recording by a profile, by default that of its task. Reads columns only, never a simulator.
+    """Measure one recording by a profile, by default the profile of its task.
+
+    Only columns are read; no simulator runs.
 
     Raises:
         InputError: there is no such profile, or it does not measure the recording's task.
-        UnmeasurableError: it needs agents that the recording lacks, or the recording lacks what every metric needs.
+        UnmeasurableError: the recording lacks agents that the profile needs, or data that every metric needs.
     """
     return profile_for(recording.episode.task, recording.episode.info, profile).measure(recording)
 

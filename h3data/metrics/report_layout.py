@@ -1,7 +1,7 @@
-"""Layout of a profile's report: declared beside its metrics, rendered by `h3data_viewers.html_report`.
+"""Layout of a profile's report, declared with its metrics and rendered by `h3data_viewers.html_report`.
 
-Everything has a default, so a profile without a layout gets a table of all its metrics, their distributions, trajectories,
-and the best and worst episodes by its first metrics that have a better direction.
+Everything has a default, so a profile without a layout gets a table of all its metrics, their distributions,
+trajectories, and the best and worst episodes by its first metrics that have a better direction.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class PublishedTable:
     rows: tuple[PublishedRow, ...]
 
     def row_of(self, policy: str) -> PublishedRow | None:
-        """Return the row about a policy, None if there is none."""
+        """Return the row of a policy, or None if there is none."""
         return next((row for row in self.rows if policy.lower() in row.policies), None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedContrast:
-    """A published pairwise difference."""
+    """Published difference between two conditions."""
 
     name: str
     difference: float
@@ -57,7 +57,7 @@ class PublishedContrast:
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedContrasts:
-    """A published table of pairwise differences."""
+    """Published table of differences between pairs of conditions."""
 
     paper: str
     source: str
@@ -75,11 +75,11 @@ class Milestone:
     label: str
     """Caption of the key frame, such as ``finds the person``."""
     metric: str
-    """Metric that is undefined where a recording cannot tell; such episodes are left out of the chart."""
+    """Metric that is undefined if a recording does not determine the event; such episodes are left out of the chart."""
 
 
 StepsModel = Literal["auto", "poisson", "observation"]
-"""Model of the steps of a study, as `h3data_studies.analysis.StudyModel` explains."""
+"""Statistical model of the number of steps in a study, described in `h3data_studies.analysis.StudyModel`."""
 FailedEpisodes = Literal["leave-out", "limit"]
 """Treatment of episodes of a study without success: left out of the steps, or counted as the longest duration."""
 
@@ -110,14 +110,14 @@ class ReportLayout:
     percent: tuple[str, ...] = ()
     """Ratios that the main table shows in percent, as the published table does."""
     findings: Mapping[str, str] = field(default_factory=dict)
-    """Words before the value of a metric in the summary: ``{"S": "finds the person in"}`` (default: its title)."""
+    """Text before the value of a metric in the summary: ``{"S": "finds the person in"}`` (default: its title)."""
     ranking: tuple[str, ...] = ()
     """Metrics that rank episodes, most important first (default: the first three with a better direction)."""
     by_partner: tuple[str, ...] = ()
     """Metrics shown as heat maps of policies by partners (default: those of ``ranking``)."""
     milestones: tuple[Milestone, ...] = ()
     distance_zone_m: tuple[float, float] | None = None
-    """Distances shaded in charts of robot and person [m]."""
+    """Range of distances that is shaded in charts of robot and person [m]."""
     published: Callable[[], PublishedTable] | None = None
     """Function that loads the published results for these metrics."""
     study: StudyLayout | None = None

@@ -23,7 +23,10 @@ class UnmeasurableError(InputError):
 
 
 class MissingColumnsError(UnmeasurableError):
-    """Error about a recording that lacks the data of every requested metric; the message says which metric needs which data."""
+    """Error about a recording that lacks the data of every requested metric.
+
+    The message lists the data that each metric needs.
+    """
 
     def __init__(self, episode_id: str, needs: Mapping[str, Sequence[str]]) -> None:
         self.needs = {name: tuple(columns) for name, columns in needs.items()}
@@ -38,9 +41,9 @@ class MissingColumnsError(UnmeasurableError):
 
 
 def require_whole(recording: Recording) -> None:
-    """Refuse an episode of a LeRobot export (`h3data_exporters.lerobot`).
+    """Raise an error for an episode of a LeRobot export (`h3data_exporters.lerobot`).
 
-    Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
+    Such exports omit the last row, in which an episode succeeds or ends in contact, so their metrics would be wrong.
 
     Raises:
         UnmeasurableError: the recording is such an export.
@@ -55,7 +58,7 @@ def require_whole(recording: Recording) -> None:
 
 
 def find_agents(recording: Recording) -> tuple[int, int]:
-    """Return the indices of the first robot and the first human; an `UnmeasurableError` names the agents instead."""
+    """Return the indices of the first robot and the first human; raise an `UnmeasurableError` if one is missing."""
     agents = recording.agents
     chosen = [next((i for i, a in enumerate(agents) if a.kind == kind), None) for kind in ("robot", "human")]
     robot, human = chosen

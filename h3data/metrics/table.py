@@ -65,7 +65,7 @@ class MetricsTable:
         return self.to_text()
 
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
-        """Return mean and interval of each metric, see `summarize`."""
+        """Return the mean and its interval of each metric, by metric name."""
         key = (confidence, resamples, seed)
         # 10,000 resamples of each metric: a report asks for the same summary many times
         if key not in self._summaries:
@@ -156,7 +156,7 @@ def summarize_all(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> dict[str, Summary]:
-    """Summarize metrics by name, as `summarize` does, in a third of the time; ``columns`` are their values [E]."""
+    """Summarize metrics by name, as `summarize` does, in a third of the time, from ``columns`` of their values [E]."""
     # an undefined value is left out of the mean, never taken for 0
     defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
     means = [m.name for m in metrics if not m.binary]
@@ -183,7 +183,7 @@ def summarize_all(
 
 
 def measure_many(recordings: Iterable[Recording], profile: str | None = None) -> MetricsTable:
-    """Measure every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
+    """Measure recordings one at a time, so that only one is in memory, by default by the profile of their task."""
     measured = (
         each
         for recording in recordings
@@ -198,13 +198,14 @@ def tabulate(
     profile: str | None = None,
     left_out: Mapping[str, tuple[str, ...]] | None = None,
 ) -> MetricsTable:
-    """Return the table of episodes that were measured elsewhere, such as by several workers.
+    """Make the table of episodes that are measured already, such as by several workers.
 
-    ``profile`` names the metrics of a table without episodes (default: ``paper``), ``left_out`` has the names of episodes
-    that could not be measured, by the reason.
+    ``profile`` names the metrics of a table without episodes (default: ``paper``), ``left_out`` has the names of
+    episodes that could not be measured, by the reason.
 
     Raises:
-        InputError: an episode occurs twice, or episodes differ in what cannot be averaged: metrics, step length, units.
+        InputError: an episode occurs twice, or episodes differ in their metrics, step length or units and cannot be
+            averaged.
     """
     rows = tuple(episodes)
     _check_unique(rows)
@@ -221,7 +222,7 @@ def tabulate(
 
 
 def legend(metrics: Iterable[Metric]) -> str:
-    """Return one line that spells out the names of metrics, such as ``S: finding success; CR: collision rate.``."""
+    """Return one line that explains the short names of metrics, such as ``S: finding success; CR: collision rate.``."""
     return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
 
 

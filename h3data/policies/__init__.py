@@ -1,4 +1,4 @@
-"""Policies: decisions for an agent, the observations that a policy gets, and its possible answers (h3data docs extending)."""
+"""Interface of policies, which decide for an agent: their observations and their possible actions (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Recordings: the records, the MCAP session log, the Parquet dataset. The stores are imported at first use."""
+"""Recordings of episodes, and their storage as MCAP session logs and Parquet datasets.
+
+The modules for storage are imported at first use.
+"""
 
 from __future__ import annotations
 

@@ -80,8 +80,9 @@ def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArra
     """Return the running hash of the state stream after each row, shape [T].
 
     Row k is BLAKE2b with an 8-byte digest over the digest of row k-1 (``previous`` before the first; little-endian) and
-    the raw little-endian bytes of row k of every state column in the sorted order of their names. State columns are all
-    but ``time_ns``, ``state_hash``, ``metrics.*``, ``input.*`` and ``agent_*.action``: measurements and commands are not state.
+    the raw little-endian bytes of row k of every state column in the sorted order of their names. All columns are state
+    columns except ``time_ns``, ``state_hash``, ``metrics.*``, ``input.*`` and ``agent_*.action``, because measurements
+    and commands are not state.
     """
     names = sorted(n for n in columns if topic_of(n) == "state" and n not in ("time_ns", "state_hash"))
     # for its check alone: it refuses dtypes that no file can hold

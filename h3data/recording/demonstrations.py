@@ -1,7 +1,8 @@
-"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, from which an environment shows the same observations.
+"""File ``meta/h3data.json`` of demonstrations exported to LeRobot, by which an environment reproduces observations.
 
-LeRobot's own metadata say how wide a state is and how large a picture. They do not say which numbers the state is made of,
-which lens took the picture, under which rules and in which homes. A policy that is shown anything else fails without a message.
+LeRobot's own metadata state the size of states and images. They do not state the meaning of the numbers in a state, the
+field of view of a camera, the rules, or the homes. A policy with other observations than in training fails without a
+message.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ VERSION = 1
 
 
 class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera that has a video of every episode."""
+    """Camera with a video of every episode."""
 
     key: str
     """Name of the feature, such as ``observation.images.robot_arm``."""
     camera: str
     """Name of the camera on the body that carries it; the name of the feature if no body carries it."""
     agent: str
-    """Name of the agent that carries the camera; empty if no agent does, so that an environment cannot show it."""
+    """Name of the agent that carries the camera; empty if no agent does, so that an environment cannot render it."""
     width: int
-    """Width of the rendered picture [px]. A video has an even width: its last column may be a copy."""
+    """Width of the rendered picture [px]. As videos have even widths, the last column of a video may be a copy."""
     height: int
     stored_width: int
     """Width of the video's frames [px]."""
@@ -46,11 +47,11 @@ class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
     kind: str
     model: str
     policy: str = ""
-    """Name of the policy that moved the agent."""
+    """Name of the policy that controlled the agent."""
 
 
 class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
-    """A home in which episodes were played."""
+    """Home in which episodes took place."""
 
     name: str
     sha256: str
@@ -77,7 +78,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     """Light of the videos: ``baked`` or ``flat``."""
     state_key: str = "observation.state"
     state_columns: tuple[str, ...]
-    """Columns of a recording whose values, one after the other, are the state."""
+    """Columns of a recording whose concatenated values are the state."""
     state_names: tuple[str, ...]
     """Names of the numbers of a state."""
     action_key: str = "action"
@@ -104,7 +105,7 @@ def read_demonstrations(root: AnyPath) -> Demonstrations:
 
     Raises:
         InputError: the dataset has no such file.
-        FormatError: it is damaged, or a newer h3data wrote it.
+        FormatError: the file is damaged, or written by a newer version of h3data.
     """
     path = root / FILE
     try:

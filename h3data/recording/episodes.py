@@ -1,4 +1,4 @@
-"""Episodes in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
+"""Collections of episodes in datasets and logs, which can be filtered, split and merged, and are read one at a time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class StoredEpisode:
     read: Callable[[], Recording]
     """Function that returns the recording, or raises an `H3DataError`."""
     read_facts: Callable[[], Mapping[str, Any]]
-    """Function that reads `facts`, without spreading out ``info``."""
+    """Function that reads `facts` without the entries of ``info``."""
     index: int | None = None
     """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
@@ -67,7 +67,7 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 
 
 class HasEpisodes(Protocol):
-    """Protocol of objects with episodes: a dataset, or `Episodes`."""
+    """Protocol of objects that hold episodes, such as a dataset or `Episodes`."""
 
     def all(self) -> Episodes:
         """Return all episodes, in the order in which they are stored."""
@@ -75,9 +75,9 @@ class HasEpisodes(Protocol):
 
 
 class Episodes(Sequence[Recording]):
-    """Episodes in an order, from any number of datasets and logs, read on demand.
+    """Ordered collection of episodes from any number of datasets and logs, which are read on demand.
 
-    Slices, `filter`, `split` and `merge` give further ones without reading steps; `save` writes them as a dataset.
+    Slices, `filter`, `split` and `merge` return new collections without reading steps; `save` writes them as a dataset.
     """
 
     def __init__(self, stored: Iterable[StoredEpisode]) -> None:
@@ -101,7 +101,7 @@ class Episodes(Sequence[Recording]):
         return (stored.read() for stored in self.stored)
 
     def all(self) -> Episodes:
-        """Return these episodes, as `Dataset.all` does those of a dataset."""
+        """Return all episodes of the collection."""
         return self
 
     @property
@@ -110,9 +110,9 @@ class Episodes(Sequence[Recording]):
         return [stored.facts for stored in self.stored]
 
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
-        """Return the episodes whose facts ``keep`` accepts and that have the given values.
+        """Return the episodes whose facts are accepted by the function ``keep`` and have the given values.
 
-        ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
+        Examples: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
 
         Raises:
             InputError: no episode has such a fact.
@@ -132,15 +132,17 @@ class Episodes(Sequence[Recording]):
         return Episodes(chosen)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """Split at random, the same for the same seed; ``by="scene"`` keeps the episodes of a scene together.
+        """Split the episodes at random into parts that depend only on the seed.
+
+        ``by="scene"`` puts all episodes of a scene into the same part.
 
         Args:
-            shares: Sizes of the parts, as shares of the groups; what is missing to 1 is a last part.
-            seed: Decides which group goes where.
+            shares: Sizes of the parts, as shares of the groups; if they sum to less than 1, the rest is the last part.
+            seed: Seed of the random assignment of groups to parts.
             by: Fact whose equal values stay together.
 
         Raises:
-            InputError: shares are not positive, or are more than 1 together.
+            InputError: a share is not positive, or the sum of shares is more than 1.
         """
         if not shares or min(shares) <= 0 or sum(shares) > 1 + 1e-9:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Files by the SHA-256 of their contents: stored once, and compared with their name when they are read."""
+"""Store of files that are named by the SHA-256 of their contents, stored once, and checked when they are read."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from h3data.recording.parquet.files import write_atomic
 from h3data.recording.storage import AnyPath
 
 _KEPT, _KEPT_BYTES = 8, 64 << 20
-"""Most files, and bytes of all of them, that a store keeps in memory."""
+"""Largest number of files, and largest total size [bytes], that a store caches in memory."""
 
 
 class FileStore:
-    """A folder of files named ``<sha256>.<ext>``; each is checked once, when this object first reads or keeps it.
+    """Folder of files named ``<sha256>.<ext>``, each of which is checked when it is first read or stored.
 
-    Those read last are kept: episodes of a dataset often have their home in common.
+    The files read last are cached, because episodes of a dataset often share a home.
     """
 
     def __init__(self, folder: AnyPath) -> None:
@@ -43,15 +43,15 @@ class FileStore:
         return stored
 
     def get(self, stored: str, *, what: str, hint: str) -> bytes:
-        """Return contents of a file.
+        """Return the contents of a file.
 
         Args:
-            stored: Its name, as `put` returned it.
-            what: Role of the file, which begins an error message.
+            stored: Name of the file, as returned by `put`.
+            what: Role of the file, for the start of an error message.
             hint: Advice on how to restore the file, for the error message.
 
         Raises:
-            FormatError: it is missing, or its contents do not have the hash that names it.
+            FormatError: the file is missing, or its contents do not match the hash in its name.
         """
         if (kept := self._read.get(stored)) is not None:
             return kept

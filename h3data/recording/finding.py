@@ -1,4 +1,4 @@
-"""Search below paths for datasets, logs, and the episodes in them."""
+"""Search of paths and their subfolders for datasets, logs, and the episodes in them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 
 
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
-    """Yield datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
+    """Yield the datasets and MCAP logs at paths; for any other folder, the logs and then the datasets below it."""
     for path in map(place, paths):
         # a folder with `meta` is taken for a dataset even without info.json, so that its damage is reported
         if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
@@ -34,10 +34,10 @@ def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterat
 def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[StoredEpisode]:
     """Find every episode of ``.mcap`` files, datasets, single episodes (``ds#3``), and folders of all of these.
 
-    What cannot be opened is in the list too: reading it fails.
+    Episodes that cannot be opened are listed too, and raise an error when they are read.
 
     Raises:
-        InputError: there is no such path, or nothing below it.
+        InputError: there is no such path, or it contains no episodes.
     """
     stored: list[StoredEpisode] = []
     for path in map(place, paths):
@@ -52,7 +52,7 @@ def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[
 
 
 def stored_log(path: AnyPath) -> StoredEpisode:
-    """Return the episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
+    """Return the episode in a log, or one episode of a dataset (``ds#3``), which is opened when it is read."""
 
     def in_dataset() -> tuple[Dataset, int] | None:
         root, sign, number = str(path).rpartition("#")

@@ -1,7 +1,8 @@
-"""Recorded input of the players of a live session (``h3data play``): raw messages, and columns beside the state.
+"""Recorded input of the players of a live session (``h3data play``), as raw messages and as columns.
 
-``input.user_<u>.seq`` is the number of the last message of the player of agent ``u`` that had acted by a row (int32, -1: none),
-``input.user_<u>.rtt_ms`` the round trip that the player's page had measured by then (float32, NaN: none yet). Neither is state.
+``input.user_<u>.seq`` is the number of the last message from the player of agent ``u`` that had taken effect by a row
+(int32, -1: none), ``input.user_<u>.rtt_ms`` the round trip that the player's page had measured by then (float32 [ms],
+NaN: none yet). Neither column is part of the state.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from h3data.recording.records import InputEvent, Recording
 
 CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
-"""Kinds of raw input: a message as received, a player who connected or left, and steps that were not played in time."""
+"""Kinds of raw input: a message as received, a player who connected or disconnected, and steps that were not simulated
+in time."""
 NOTHING, AWAY, STEERS = "-", "away", "steers"
-"""Wishes of a player at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
+"""Requests of a player at a step other than kinds of messages: none, not connected, and moving by keys or sticks."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,16 +29,17 @@ class LiveInput:
     """Input of one player."""
 
     user: int
-    """Number of the agent that the person played."""
+    """Number of the agent that the player controlled."""
     messages: int
     asked: tuple[str, ...]
-    """Last wish of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
+    """Last request of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as
+    ``pick``."""
     rtt_ms: NDArray[np.float32]
     """Round-trip time at each row, [T] [ms]; NaN where it was not measured."""
 
     @property
     def rtt_shares_ms(self) -> tuple[float, float] | None:
-        """Median and 95th percentile of the round trip over rows [ms]; None: never measured."""
+        """Median and 95th percentile of the round-trip time over rows [ms]; None if it was never measured."""
         known = self.rtt_ms[np.isfinite(self.rtt_ms)]
         return (float(np.median(known)), float(np.percentile(known, 95))) if len(known) else None
 
@@ -47,7 +50,7 @@ def seq_column(user: int) -> str:
 
 
 def rtt_column(user: int) -> str:
-    """Return the name of the column of a player's round trip."""
+    """Return the name of the column of a player's round-trip time."""
     return f"input.user_{user}.rtt_ms"
 
 
@@ -58,13 +61,13 @@ def live_inputs(recording: Recording) -> list[LiveInput]:
 
 
 def slipped_steps(recording: Recording) -> int:
-    """Return the steps that the server of a live session was too slow to play."""
+    """Return the steps of a live session that the server did not simulate in time."""
     slips = (_json(event).get("steps") for event in recording.inputs if event.kind == SLIP)
     return sum(steps for steps in slips if isinstance(steps, int))
 
 
 def remark_lines(recording: Recording) -> list[str]:
-    """Return lines of text with the problems that players have reported, and their answers to the question at the end."""
+    """Return lines of text with problems that players reported, and their answers to the question at the session's end."""
     hitl = recording.episode.info.get("hitl")
     lines = []
     for remark in hitl.get("remarks", ()) if isinstance(hitl, dict) else ():

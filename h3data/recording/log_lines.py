@@ -23,9 +23,9 @@ class LogLine:
 
 
 def speech(event: Event, names: Sequence[str]) -> str:
-    """Return the line about a message between agents with these names.
+    """Return the text of a message between agents, with their names.
 
-    Its text is unchecked, as a person or a model wrote it.
+    The text of the message was written by a person or a model and is not checked.
     """
     who = names[event.agent] if 0 <= event.agent < len(names) else "somebody"
     return f'{who} says{f" to {event.target}" if event.target else ""}: "{event.detail}"'

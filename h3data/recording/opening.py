@@ -26,13 +26,13 @@ def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
 
 
 def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
-    """Return a `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder.
+    """Open an MCAP log or an episode of a dataset (``ds#3``) as a `Recording`, or a dataset folder as a `Dataset`.
 
     The path may be a URI: ``s3://bucket/ds`` (`h3data.recording.storage`).
 
     Raises:
         InputError: there is no such file or episode, or it cannot be read.
-        FormatError: the file is something else (the message says what), or it is damaged.
+        FormatError: the file has another format, which the message names, or is damaged.
     """
     path = place(path)
     try:
@@ -72,7 +72,7 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
 
 
 def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None = None) -> Steps:
-    """Return the steps of an MCAP log, or of one ``episode`` of a dataset, by path or URI.
+    """Open an MCAP log, or one ``episode`` of a dataset, by path or URI for reading single steps.
 
     Damage in parts of a log that are not read goes unnoticed; `read_mcap` checks the whole file.
 

@@ -1,9 +1,9 @@
 """Records of an episode: its agents, its bodies, and their poses at every step.
 
-A `Recording` is self-contained: with its assets at hand it can be rendered from any camera, measured and continued. It is
-the same whether it came from our simulator, a Habitat file, an MCAP log or a Parquet dataset.
+A `Recording` is self-contained: together with its assets it can be rendered from any camera, measured and continued.
+Its form does not depend on the source, be it h3data's simulator, a Habitat file, an MCAP log or a Parquet dataset.
 
-Time-indexed data are plain arrays in `Recording.columns`, time first. Their names are the contract:
+Time-indexed data are plain arrays in `Recording.columns`, time first. Their names and contents are:
 
 ====================== ================ ================================================================================
 column                 dtype, shape     meaning (frames and units as in `h3data.geometry`)
@@ -18,9 +18,11 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``agent_<i>.motion_blend`` float32 [T]  0 = standing pose, 1 = the clip
 ``agent_<i>.motion_arms`` float32 [T,2] how far the left and right arms are tucked in: 0 = as in the clip, 1 = close to
                                         the body; optional
-``agent_<i>.motion_seat`` float32 [T,2] height of a seat above the floor [m] and share of the path from standing to sitting
+``agent_<i>.motion_seat`` float32 [T,2] height of a seat above the floor [m] and share of the path from standing to
+sitting
                                        (1) and lying (2), of people who may sit down; absent: they stand and walk
-``agent_<i>.motion_hands`` float32 [T,4,4] where the hands are led and how far the trunk leans for it, of people who may do
+``agent_<i>.motion_hands`` float32 [T,4,4] where the hands are led and how far the trunk leans for it, of people who may
+do
                                         chores (`h3data.bodies.people.gestures.lead_hands`); optional
 ``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
@@ -82,12 +84,12 @@ class AssetRef:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """A rigid body: furniture, an object, or a link of an agent that has no model of its own."""
+    """Rigid body: furniture, an object, or a link of an agent without a model."""
 
     name: str
     asset: str
     pose: NDArray[np.float32]
-    """Pose (pose7) in the world, shape [7]; of moving bodies, the first one."""
+    """Pose (pose7) in the world, shape [7]; for moving bodies, the first pose."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(3, np.float32))
     semantic_id: int = 0
     moving: int = -1
@@ -100,13 +102,13 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Agent:
-    """A robot or a person."""
+    """Agent of an episode: a robot or a person."""
 
     name: str
     kind: Literal["robot", "human"]
     model: str = ""
-    """Body or robot that shows the agent (``humanoid/female_0``, ``robot/quad_arm``); empty: its `Body` records show
-    it."""
+    """Model of the agent's appearance, such as ``humanoid/female_0`` or ``robot/quad_arm``; if empty, its `Body`
+    records define it."""
     semantic_id: int = 0
     joint_names: tuple[str, ...] = ()
     motion_names: tuple[str, ...] = ()
@@ -128,7 +130,7 @@ class Event:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillSpan:
-    """A high-level action from its first to its last step (inclusive)."""
+    """High-level action of an agent from its first to its last step (inclusive)."""
 
     agent: int
     name: str
@@ -144,13 +146,13 @@ class InputEvent:
     """Raw message of a person's input device: a key, the mouse, an XR controller, a line of text."""
 
     time_ns: int
-    """Time of arrival [ns since the episode began], on the clock of the column ``time_ns``; usually between two rows, negative
-    before the episode. Input in (time of row k-1, time of row k] could act on row k."""
+    """Time of arrival [ns since the episode began], on the clock of the column ``time_ns``; usually between two rows,
+    negative before the episode. Input that arrives after row k-1 and not after row k can affect row k."""
     kind: str
     """Kind of input: ``key_down``, ``key_up``, ``mouse_move``, ``mouse_down``, ``mouse_up``, ``mouse_wheel``, ``xr``,
     ``text``, or any other word."""
     user: int = 0
-    """Index of the person; ``episode.info`` or the task defines which agent they drive."""
+    """Index of the person; ``episode.info`` or the task defines which agent the person controls."""
     payload: str = ""
     """Details as JSON text, such as ``{"key": "w"}``, stored unchanged; empty = none."""
 
@@ -169,14 +171,14 @@ class Episode:
     seed: int = 0
     dt_ns: int = STEP_NS
     created_by: str = ""
-    """Program and version that recorded it."""
+    """Program and version that recorded the episode."""
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
     """Further information as JSON values: task parameters, start poses, waypoints, provenance, import warnings."""
 
     @property
     def is_lerobot_export(self) -> bool:
-        """Return whether the episode was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        """Return whether the episode was exported to LeRobot, which omits the last row and the simulator's columns."""
         return "lerobot" in self.info
 
 
@@ -234,7 +236,7 @@ class Recording:
 
     @property
     def moving_bodies(self) -> tuple[Body, ...]:
-        """Bodies with a track, in the order of axis 1 of ``object_pose``."""
+        """Bodies that move, in the order of axis 1 of ``object_pose``."""
         return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
 
     def agent_column(self, agent: int, name: str) -> NDArray[Any]:
@@ -242,7 +244,7 @@ class Recording:
         return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
-        """Return a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
+        """Return a Rerun viewer or a video of the recording for display in a notebook (`h3data_viewers.notebook.show`)."""
         return notebook().show(self, viewer, **options)
 
     def _repr_html_(self) -> str:
@@ -294,7 +296,7 @@ class Recording:
 
 @cache
 def notebook() -> Any:
-    """Return the module that shows records in notebooks, which the package of viewers registers."""
+    """Return the module that displays records in notebooks, which the package of viewers registers."""
     displays: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
     return displays.get("notebook")
 
@@ -308,7 +310,8 @@ class RecordingHeader:
     bodies: tuple[Body, ...] = ()
     agents: tuple[Agent, ...] = ()
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """Arrays whose dtypes and trailing shapes fix the columns (their rows are ignored); empty: the first rows decide."""
+    """Arrays whose dtypes and trailing shapes fix the columns (their rows are ignored); if empty, the first rows
+    determine the columns."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

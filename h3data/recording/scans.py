@@ -1,4 +1,4 @@
-"""Scans of laser scanners in recordings: the columns ``metrics.agent_<i>.<sensor>`` of lengths around an agent's base."""
+"""Laser scans in recordings: columns ``metrics.agent_<i>.<sensor>`` with distances around an agent's base."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from h3data.geometry import heading_from_quat
 from h3data.recording.records import Recording
 
 HEIGHT_M = 0.3
-"""Height over the floor at which viewers draw scans: that of the scanner [m]."""
+"""Height of the scanner over the floor, at which viewers display scans [m]."""
 
 
 class Scan(NamedTuple):
@@ -22,16 +22,16 @@ class Scan(NamedTuple):
     agent: int
     sensor: str
     ranges: NDArray[np.float32]
-    """Distances [T, R] [m], or [T, L, R] of L lasers, the lowest first."""
+    """Distances [T, R] [m], or [T, L, R] for L lasers, the lowest first."""
     max_m: float
-    """Greatest distance that the scanner measures [m]; a ray of this length met nothing."""
+    """Greatest distance that the scanner measures [m]; a ray with this value hit nothing."""
     height_m: float = HEIGHT_M
-    """Height of the scanner over the origin of the base."""
+    """Height of the scanner over the origin of the base [m]."""
     elevations: tuple[float, ...] = (0.0,)
     """Elevation of each laser above the horizon [rad]."""
 
     def met(self) -> NDArray[np.float32]:
-        """Return the distances to what the rays met, in the shape of `ranges` [m], infinite where a ray met nothing."""
+        """Return distances at which rays hit something, in the shape of `ranges` [m], infinite where a ray hit nothing."""
         # a thousandth less, because float32 rounds the greatest distance
         return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
 
@@ -43,16 +43,16 @@ class Scan(NamedTuple):
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
 
     def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
-        """Return the points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m].
+        """Return the points that the rays hit in some rows, in the scanner's frame, [t, L * R, 3] [m].
 
-        They are NaN where a ray met nothing.
+        They are NaN where a ray hit nothing.
         """
         reach = self.met()[rows].astype(np.float64)
         reach[np.isinf(reach)] = np.nan
         return reach.reshape(len(reach), -1, 1) * self.directions()
 
     def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
-        """Return the world points that the rays met in some rows, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        """Return the world points that the rays hit in some rows, [t, L * R, 3] [m]; NaN where a ray hit nothing."""
         base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
         x, y, z = np.moveaxis(self.around(rows), -1, 0)
         heading = heading_from_quat(base[:, 3:])[:, None]
@@ -62,7 +62,7 @@ class Scan(NamedTuple):
 
 
 def scan_column(agent: int, sensor: str) -> str:
-    """Return the name of the column of an agent's sensor."""
+    """Return the name of the column with the scans of an agent's sensor."""
     return f"metrics.agent_{agent}.{sensor}"
 
 
@@ -74,7 +74,7 @@ def scans_of(recording: Recording) -> list[Scan]:
 
 
 def clouds_of(recording: Recording) -> list[Scan]:
-    """Return the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
+    """Return the scans of several lasers of a recording, by agent, without scans whose geometry is not recorded."""
     clouds = []
     # sensors that are scans of several lasers, each at an elevation of its own
     cloud_sensors = ("lidar_3d",)

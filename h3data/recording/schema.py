@@ -1,7 +1,7 @@
 """Column layouts, records and episodes as plain values, shared by both stores (MCAP, Parquet).
 
 `Column` is one time-indexed array without its rows. `STRUCTS` lists the fields of the records that are not indexed by
-time; the protobuf messages of the log and the Parquet sidecars of the dataset are both made from it.
+time; the protobuf messages of the log and the Parquet sidecars of the dataset are both generated from it.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def topic_of(column: str) -> Topic:
 def log_topic_of(column: str) -> Topic:
     """Return the per-step topic of the log that a column is written to.
 
-    Metrics share the topic of the state: a topic of their own took 21 B/step, 16 of them in the index.
+    Metrics share the topic of the state, because a separate topic took 21 B/step, 16 of them in the index.
     """
     return "action" if topic_of(column) == "action" else "state"
 
@@ -114,7 +114,7 @@ def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
 
 
 def default_layout(header: RecordingHeader | Recording) -> Layout:
-    """Return the smallest layout for these bodies and agents, for episodes that end before their first step."""
+    """Return the smallest layout for given bodies and agents, used for episodes that end before their first step."""
     moving = sum(b.moving >= 0 for b in header.bodies)
     layout = [Column("time_ns", "int64", ())]
     if moving:
@@ -124,7 +124,7 @@ def default_layout(header: RecordingHeader | Recording) -> Layout:
 
 
 def required_columns(agents: int) -> set[str]:
-    """Return the columns that a `Recording` cannot do without."""
+    """Return the columns that every `Recording` must have."""
     return {"time_ns", "object_pose", *(f"agent_{i}.base_pose" for i in range(agents))}
 
 
@@ -139,7 +139,7 @@ def layout_to_json(layout: Layout) -> str:
 
 
 def layout_from_json(text: str) -> Layout:
-    """Return the inverse of `layout_to_json`; raise a `FormatError` if the text is no layout."""
+    """Decode a layout that `layout_to_json` encoded; raise a `FormatError` if the text is not a layout."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -156,7 +156,7 @@ def layout_from_json(text: str) -> Layout:
 
 
 def check_version(version: str, *, path: object) -> None:
-    """Raise a `FormatError` if the schema version of a file is unreadable, of a newer major one, or too old."""
+    """Raise a `FormatError` if the schema version of a file is unreadable, of a newer major version, or too old."""
     ours = int(SCHEMA_VERSION.partition(".")[0])
     try:
         # a third number is allowed, and says nothing about what can be read
@@ -243,7 +243,7 @@ _FIELDS = {
     )
     for struct, fields in STRUCTS.items()
 }
-"""Name, kind, whether it is a list, and the types of its values, of each field."""
+"""Fields of each record, with their name, kind, whether they are lists, and the types of their values."""
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
@@ -261,7 +261,7 @@ def struct_to_dict(record: Any) -> dict[str, Any]:
 
 
 def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
-    """Return the inverse of `struct_to_dict`; fields that the file lacks keep their defaults.
+    """Decode a record that `struct_to_dict` encoded; fields that the file lacks get their defaults.
 
     Raises:
         FormatError: a field has another type.
@@ -300,7 +300,7 @@ def _plain(value: Any) -> Any:
 
 
 def info_to_json(info: Mapping[str, Any]) -> str:
-    """Encode `Episode.info` as JSON; numpy numbers and arrays become plain ones."""
+    """Encode `Episode.info` as JSON; NumPy numbers and arrays become plain numbers and lists."""
     try:
         return json.dumps(dict(info), ensure_ascii=False, default=_plain)
     except (TypeError, ValueError) as error:
@@ -308,7 +308,7 @@ def info_to_json(info: Mapping[str, Any]) -> str:
 
 
 def episode_to_dict(episode: Episode) -> dict[str, Any]:
-    """Return fields of an episode; ``info`` as JSON text."""
+    """Return the fields of an episode as plain values, with ``info`` as JSON text."""
     return {
         "uid": str(episode.uid),
         "episode_id": str(episode.episode_id),
@@ -323,7 +323,7 @@ def episode_to_dict(episode: Episode) -> dict[str, Any]:
 
 
 def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
-    """Return the inverse of `episode_to_dict`; numbers may come as text."""
+    """Decode an episode that `episode_to_dict` encoded; numbers may be given as text."""
     try:
         texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
         # before the rest, which a newer version may write otherwise

@@ -1,7 +1,7 @@
 """Single steps of long recordings, read without the rest of the file.
 
-A log is read through its summary, chunk index and message index: one chunk (up to 4 MiB) for a step. A dataset is read by
-the row group of the episode, and only the columns asked for.
+A log is read through its summary, chunk index and message index: reading a step decodes one chunk (up to 4 MiB). From a
+dataset, the row group of the episode is read, with requested columns only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Steps(ABC):
     def __len__(self) -> int: ...
 
     def rows(self, start: int, stop: int, *, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
-        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all, or only ``columns``.
+        """Return columns [stop - start, ...] of the steps ``start`` to ``stop - 1``: all columns, or only ``columns``.
 
         Raises:
             InputError: there are no such steps or columns.
@@ -57,12 +57,12 @@ class Steps(ABC):
         return {name: array[0] for name, array in self.rows(at, at + 1).items()}
 
     def recording(self, start: int, stop: int) -> Recording:
-        """Return steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to render them with `h3data.replay.Replay`.
+        """Return steps ``start`` to ``stop - 1`` as a separate recording, for example to render them.
 
-        Steps of events and skills count from ``start``. Spans are cut to these steps; one that continues afterwards becomes
-        ``running``. Inputs are those after the step before ``start``, up to the last step: adjacent windows divide them.
-        ``info["window"]`` holds ``start``, ``stop`` and the number of steps it was cut from; ``time_ns`` and ``state_hash``
-        do not change.
+        Steps of events and skills count from ``start``. Spans are cut to these steps; a skill that continues afterwards
+        becomes ``running``. The recording has the inputs after the step before ``start``, up to the last step, so
+        adjacent windows share no inputs. ``info["window"]`` holds ``start``, ``stop`` and the number of steps of the
+        whole recording; ``time_ns`` and ``state_hash`` do not change.
         """
         self._require_steps(start, stop)
         whole = self._recording(start, stop)

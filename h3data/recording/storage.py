@@ -1,7 +1,7 @@
-"""Files and folders by path or URI: a local one is a `pathlib.Path`, any other a `RemotePath` on pyarrow.fs.
+"""Files and folders by path or URI: a local path is a `pathlib.Path`, any other a `RemotePath` on pyarrow.fs.
 
-An object store has neither rename nor append, so nothing is written there piece by piece: files are made locally and
-uploaded whole. A dataset's episode table goes last; its presence commits the shard (h3data docs format).
+An object store has neither rename nor append, so files are written locally and then uploaded whole. The episode table
+of a dataset is uploaded last, and its presence commits the shard (h3data docs format).
 """
 
 # Why not universal-pathlib? Measured on a local S3 server, opening a dataset and reading five episodes: 0.18 s with
@@ -26,12 +26,12 @@ import pyarrow.fs as pafs
 from h3data.errors import InputError
 
 SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
-"""Schemes that pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
+"""Schemes that pyarrow.fs opens; ``mock`` stores files in the memory of this process, for tests."""
 
 
 @dataclass(frozen=True, order=True)
 class RemotePath:
-    """A file or folder by its URI, with the methods of `pathlib.Path` that the stores need.
+    """File or folder at a URI, with the methods of `pathlib.Path` that h3data needs.
 
     Credentials, region and endpoint come from the environment, as each file system defines: for S3 ``AWS_PROFILE``,
     ``AWS_ACCESS_KEY_ID``, ``AWS_DEFAULT_REGION``, ``AWS_ENDPOINT_URL``, ... Options of pyarrow may follow as a query:
@@ -45,7 +45,7 @@ class RemotePath:
 
     @property
     def uri(self) -> str:
-        """Whole URI with its credentials: for opening it again, never for display."""
+        """Whole URI including its credentials, which is only for opening the path again and not for display."""
         return f"{self.scheme}://{self.path}" + (f"?{self.query}" if self.query else "")
 
     def __str__(self) -> str:
@@ -198,7 +198,7 @@ def masked(text: str) -> str:
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     """Return a path or URI as a `Path` or `RemotePath`; ``file://`` is local.
 
-    A URI that was converted to a `Path`, and so lost a slash (``s3:/bucket``), counts as a URI.
+    A URI that was converted to a `Path`, and so lost a slash (``s3:/bucket``), is treated as a URI.
 
     Raises:
         InputError: the URI has a scheme that pyarrow.fs does not open, or no bucket or folder.
@@ -228,10 +228,12 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
 
 
 def local(path: str | os.PathLike[str] | RemotePath) -> Path:
-    """Return the path of a file that can only be written locally.
+    """Return the local path of a file.
+
+    Files in an object store raise an error, as some files can only be written locally.
 
     Raises:
-        InputError: it is a URI of anything but the local disk.
+        InputError: the path is a URI that is not on the local disk.
     """
     at = place(path)
     if isinstance(at, RemotePath):
@@ -253,7 +255,10 @@ def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
 
 
 def sizes_below(folder: AnyPath) -> dict[str, int]:
-    """Return sizes [B] of all files below a folder by their paths relative to it, sorted; none if it does not exist."""
+    """Return the sizes [bytes] of all files below a folder by relative path, sorted.
+
+    The result is empty if the folder does not exist.
+    """
     if isinstance(folder, Path):
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}

@@ -2,10 +2,10 @@
 
 - `camera`, `scene`: what to render; `renderer`: `Renderer`, one interface to all back ends; `outputs`: their outputs
 - back ends: `raster/` with `shade/` (CPU); entry points of the group `h3data.renderers`: rays and GPUs
-- from images: `colors`, `overlay`; to files: `image_files`, `video`
+- processing of images: `colors`, `overlay`; files: `image_files`, `video`
 - `sheets/`: contact sheets of bodies, robots and motions, and plans of scenes
 
-`Camera` and its helpers are cheap; all other names are imported at first use (numba, OpenCV, PyAV).
+`Camera` and its helpers need no heavy packages; all other names are imported at first use (numba, OpenCV, PyAV).
 """
 
 from __future__ import annotations

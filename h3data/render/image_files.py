@@ -1,4 +1,4 @@
-"""PNG and JPEG files, and depth and ids as 16-bit images."""
+"""Writers of PNG and JPEG files, and conversion of depth and ids to 16-bit images."""
 
 from __future__ import annotations
 

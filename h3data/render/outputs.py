@@ -1,4 +1,4 @@
-"""Outputs of renderers, with shapes and types, and the poses for an image."""
+"""Outputs of renderers with their shapes and types, and the poses of instances for an image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FORMS: Mapping[str, tuple[tuple[int, ...], type]] = {
 
 
 class Poses(NamedTuple):
-    """The state of all instances in one world."""
+    """State of all instances in one world."""
 
     matrix: NDArray[np.float64]
     """Matrix from mesh to world of every instance, shape [I, 3, 4]; NaN if it is absent."""
@@ -48,7 +48,7 @@ def check_outputs(outputs: Sequence[str]) -> None:
 def picture_arrays(
     cameras: Sequence[Camera], outputs: Sequence[str], out: Mapping[str, NDArray] | None
 ) -> dict[str, NDArray]:
-    """Return arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
+    """Return arrays [N, H, W, ...] for images of N cameras of one size, taken from ``out`` or else newly allocated."""
     results: dict[str, NDArray] = {}
     for name in outputs:
         trailing, dtype = FORMS[name]

@@ -15,7 +15,7 @@ Color = tuple[int, int, int]
 _NEAR_M = 0.01
 _SUBPIXEL_BITS = 4
 _FAR_PX = 1 << 20
-"""Lines are clipped to this many pixels around the origin, so that OpenCV's integers do not overflow."""
+"""Distance from the origin at which lines are clipped, so that OpenCV's integers do not overflow [px]."""
 
 
 def draw_polyline(

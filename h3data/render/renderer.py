@@ -19,12 +19,15 @@ from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
 ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
-"""Makers of the back ends ``gpu``, ``auto`` and ``rays``, from a scene, a light and the numbers of worlds and threads.
-``rays`` also takes ``only_rays``: False adds the rasteriser for what rays cannot render."""
+"""Functions that create the back ends ``gpu``, ``auto`` and ``rays`` from a scene, a light and the numbers of worlds
+and threads. ``rays`` also takes ``only_rays``; if it is False, the rasteriser renders outputs that rays cannot."""
 
 
 class Engine(Protocol):
-    """A back end. It holds the state of each world and renders; `Renderer` has already checked its arguments."""
+    """Interface of back ends, which hold the state of each world and render images.
+
+    `Renderer` checks all arguments before it calls a back end.
+    """
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         """Set the transforms [n, 3, 4] of instances [n]."""
@@ -61,8 +64,8 @@ class Engine(Protocol):
 class Renderer:
     """Renderer of a `RenderScene`; holds the state of its worlds and the buffers.
 
-    Use one renderer per thread, or one with ``threads``, which renders batches in parallel. A new renderer shows the scene
-    as it was built, in every world.
+    Use one renderer per thread, or one with ``threads``, which renders batches in parallel. In a new renderer, every
+    world has the initial state of the scene.
     """
 
     def __init__(
@@ -140,9 +143,9 @@ class Renderer:
         self._engine.set_vertices(self._world(world), mesh, v)
 
     def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
-        """Set the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
+        """Set the capsules that cast soft shadows in ``rgb``, and the light on moving instances; None removes both.
 
-        `h3data_light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
+        `h3data_light.field.LightField.blockers` computes them from the poses of agents and objects. They are used until
         they are set again.
         """
         if blockers is not None:

@@ -1,4 +1,4 @@
-"""`RenderScene`: meshes cut into clusters, and instances of them. Built once, shared by any number of renderers."""
+"""Scene to render: meshes divided into clusters, and their instances, built once for any number of renderers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from h3data.render.shade.textures import pack_textures
 
 @dataclass(frozen=True, eq=False)
 class RenderInstance:
-    """Mesh with its place in the world."""
+    """Instance of a mesh with its pose in the world."""
 
     mesh: int
     """Index into the scene's meshes."""
@@ -44,7 +44,9 @@ class RenderInstance:
 
 
 class RenderScene:
-    """Meshes and instances, ready for rendering. Immutable; everything that changes over time lives in a `Renderer`.
+    """Meshes and instances in a form for rendering.
+
+    The scene is immutable; a `Renderer` holds all states that change over time.
 
     A texture shared by several meshes (the same object) is packed once. Where a texture is less than half opaque, the
     surface has a hole (`cutouts`).
@@ -137,7 +139,7 @@ class RenderScene:
         return surface
 
     def own_packet_range(self, mesh: int) -> slice:
-        """Return the range of a deformable mesh's packets within the packets that every renderer keeps for itself."""
+        """Return the range of a deformable mesh's packets within the packets of which every renderer has a copy."""
         packets = _packet_range(self.geometry, mesh)
         # own packets are numbered after all shared ones (`_join`)
         shared = len(self.geometry.shared_packets)
@@ -149,7 +151,7 @@ class RenderScene:
 
     @cached_property
     def patches(self) -> NDArray[np.int32]:
-        """Smooth patch of each triangle, for all meshes one after another, shape [F]."""
+        """Index of each triangle's smooth patch (`smooth_patches`), for all meshes in sequence, shape [F]."""
         return smooth_patches(self.surface, [mesh.vertices for mesh in self.meshes], self.first_face)
 
     @property

@@ -22,8 +22,8 @@ from h3data.replay.cameras import split_size
 from h3data.replay.stage import FrameBackend
 
 KEY_FRAMES = 10
-"""Number of frames from one key frame to the next. Training reads frames in random order: one costs 1.7 ms at 640x480,
-4.8 ms with 30 and 0.7 ms with 2, where files are 1.5 times as large."""
+"""Number of frames from one key frame to the next. Reading a random frame in training takes 1.7 ms at 640x480, 4.8 ms
+with a value of 30, and 0.7 ms with a value of 2, for which files are 1.5 times as large."""
 
 
 def render_videos(
@@ -45,17 +45,17 @@ def render_videos(
     The same recording gives the same bytes, with any number of threads. Memory does not grow with its length.
 
     Args:
-        recording: The episode; of one without steps there are no videos.
-        cameras: Names as in ``h3data rerender``, or camera files. Their colours are stored, nothing else.
+        recording: The episode; without steps there are no videos.
+        cameras: Names as in ``h3data rerender``, or camera files. Only their colours are stored.
         folder: Existing folder for the files.
         steps: Number of steps.
-        threads: Threads that render.
+        threads: Number of threads that render.
         assets: Folders below which recorded asset files are searched.
         people: Appearance of people: ``skin``, ``capsules`` or ``bones``.
-        stand_ins: True replaces missing assets by plain ones, as in `Replay`.
+        stand_ins: True to replace missing assets by plain ones, as in `Replay`.
         light: ``flat`` or ``baked`` (`h3data.render.light`).
-        backend: Who draws (`h3data.replay.stage.chosen_backend`).
-        progress: Wraps the iterable of frames.
+        backend: Back end that renders (`h3data.replay.stage.chosen_backend`).
+        progress: Function that wraps the iterable of frames.
 
     Raises:
         InputError: there is no such camera, or two have the same name.
@@ -116,7 +116,7 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
     """Return the tracks of cameras by name or file.
 
     Raises:
-        InputError: there is no such camera, two have the same name, or its pictures have no colours.
+        InputError: there is no such camera, two have the same name, or a camera has no colour images.
     """
     tracks = []
     for name in cameras:

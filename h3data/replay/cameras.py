@@ -1,4 +1,4 @@
-"""Cameras of a recording by name: on robots and people, watching them, from above; and camera files."""
+"""Cameras of a recording by name: mounted on robots and people, following them, or above the home."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 
 
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
-    """Return the camera of `camera_track` at one step, much faster for the ``third_person`` camera.
+    """Return the camera with a name at one step, which for ``third_person`` is much faster than `camera_track`.
 
     Negative steps count from the end.
     """
@@ -132,7 +132,7 @@ def _followed(replay: Replay, name: str) -> int | None:
 def carrier_of(replay: Replay, name: str) -> int | None:
     """Return the number of the first agent that carries a camera of this name, or of the agent in ``agent/name``.
 
-    The result is None if nobody carries such a camera.
+    The result is None if no agent carries such a camera.
     """
     owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
@@ -172,7 +172,7 @@ CUT_M = 2.2
 
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """Return a static view of the whole home from high above, without ceilings, -Z at the top."""
+    """Return a static view of the whole home from high above, without ceilings and with -Z at the top."""
     lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     shape = float(np.clip(span_z / span_x, 1 / 3, 3 / 2))
@@ -195,7 +195,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
 
 
 def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """Return the whole home as a plan to scale, i.e. `top_down` without perspective."""
+    """Return an orthographic view of the whole home from above, without ceilings and with -Z at the top."""
     lo, hi = _extent(replay, margin_m)
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     scale = np.sqrt(TOP_DOWN_PIXELS / (span_x * span_z))

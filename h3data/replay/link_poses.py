@@ -17,7 +17,7 @@ BLOCKS_KEPT = 16
 
 
 class LinkPoses:
-    """World matrices of one agent's links along a recording. Thread-safe."""
+    """World matrices of one agent's links along a recording, computed on demand by any thread."""
 
     def __init__(self, pose: Callable[[NDArray[np.integer]], NDArray[np.floating]], steps: int, links: int) -> None:
         """``pose`` gives the matrices [t, L, 4, 4] at steps [t]."""
@@ -26,7 +26,7 @@ class LinkPoses:
         self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
 
     def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:
-        """Return matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""
+        """Return world matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""
         rows = np.arange(self._steps) if steps is None else np.arange(self._steps)[steps]
         blocks = rows // BLOCK_STEPS
         numbers = np.unique(blocks)

@@ -1,4 +1,4 @@
-"""`PosedRecording`: the drawables of a recording and their poses at any step."""
+"""Drawables of a recording and their poses at any step."""
 
 from __future__ import annotations
 
@@ -51,18 +51,19 @@ class PosedRecording:
 
     Args:
         recording: The recording.
-        assets: Library or folders of the files that a foreign recording refers to. Missing ones are replaced by marked
+        assets: Library or folders of the asset files of imported recordings. Missing files are replaced by striped
             placeholders and listed in `missing`.
-        detail: True uses the full meshes of people, False the reduced ones. By default, images use whichever is
-            sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
-        people: Appearance of people: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
-        stepping: If true, legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), people who
-            were recorded by clips walk with planted feet, and hands move in recorded activities (`recorded_gestures`).
-            Affects appearance only.
+        detail: True uses the full meshes of people, False the simplified ones. By default, images use the simplified
+            mesh if it is sufficient for the camera (`Humanoid.light_enough`), and all other functions use the full one.
+        people: Appearance of people: ``skin``, ``capsules`` (of contact tests) or ``bones``.
+        stepping: If true, legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), people
+            who were recorded by clips walk with planted feet, and hands move in recorded activities
+            (`recorded_gestures`). This affects the appearance only.
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
-        stand_ins: True replaces missing assets by plain ones instead of marked ones: built-in robots and people in the
-            recorded postures, and boxes with names (the group `h3data.stand_ins`). `recording` then names these bodies.
+        stand_ins: True to replace missing assets by plain objects instead of striped placeholders: built-in robots and
+            people in the recorded postures, and boxes with names (the group `h3data.stand_ins`). `recording` then names
+            these bodies.
     """
 
     def __init__(
@@ -137,7 +138,7 @@ class PosedRecording:
 
     @property
     def tracks(self) -> Sequence[Track | None]:
-        """The motion of each drawable; None = static."""
+        """Recorded motion of each drawable; None = static."""
         return self._tracks
 
     def _add(self, drawable: Drawable, track: Track | None) -> None:
@@ -255,7 +256,7 @@ class PosedRecording:
     def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
         """Return world matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4, 4].
 
-        For a long recording the result is large: ask for a few steps at a time, or for one link (`link_track`).
+        For a long recording the result is large, so request a few steps at a time, or one link (`link_track`).
         """
         return self._links_of(agent).at(steps, slice(None))
 
@@ -275,7 +276,10 @@ class PosedRecording:
         return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
 
     def robot_joints(self, agent: int, robot: Robot) -> NDArray[np.floating]:
-        """Return joint positions of a robot at all steps for pictures, shape [T, J]: its legs may trot (``stepping``)."""
+        """Return joint positions of a robot at all steps for rendering, shape [T, J] [rad or m].
+
+        Legs may trot (``stepping``).
+        """
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
             return trot(robot, base, joints, heights=self.heights)
@@ -295,7 +299,10 @@ class PosedRecording:
         return {}
 
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """Return matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4]; NaN where it was absent."""
+        """Return world matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4].
+
+        NaN where it was absent.
+        """
         rows = np.arange(len(self)) if steps is None else np.asarray(steps)
         track = self._tracks[index]
         if isinstance(track, BodyTrack):
@@ -314,7 +321,7 @@ class PosedRecording:
     def joint_motions(self, steps: NDArray[np.integer]) -> Array:
         """Return the world matrices by which doors, drawers and other joints have moved at ``steps``, [T, J, 4, 4].
 
-        Each maps points from where ``recording.bodies`` has them; J = 0 in scenes without joints.
+        Each matrix maps points from their positions in ``recording.bodies``; J = 0 in scenes without joints.
         """
         if self._joints is None:
             return np.zeros((len(steps), 0, 4, 4))

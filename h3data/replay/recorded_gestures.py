@@ -1,4 +1,4 @@
-"""Gestures of people from the events of a recording: an activity at a place moves the person's hands during the stay."""
+"""Gestures of people from the events of a recording, which move the hands of a person during an activity."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from h3data.geometry import Array, smoothstep
 from h3data.recording import Recording
 
 BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
-"""Kinds of the events that begin and end a gesture; the target of the first is the name of the activity."""
+"""Kinds of the events that start and end a gesture; the target of the first is the name of the activity."""
 RAMP_S = 0.8
-"""Time in which the hands move into the gesture at its beginning, and back before its end [s]."""
+"""Time in which the hands move into the gesture at its start, and back before its end [s]."""
 
 
 def recorded_gestures(recording: Recording, agent: int) -> Array | None:
-    """Return the gestures of an agent at all steps as `h3data.bodies.people.gestures.add_gestures` takes them, [T, 3].
+    """Return the gestures of an agent at all steps, [T, 3], as `h3data.bodies.people.gestures.add_gestures` takes them.
 
-    Gestures of seated people begin when they sit, and are left out where they have no seat.
-    None: the agent does nothing that has a gesture.
+    Gestures of seated people start when they sit, and are omitted while they do not. The result is None if the agent
+    has no activity with a gesture.
     """
     turns = [event for event in recording.events if event.agent == agent and event.kind in ENDS]
     if not any(event.kind == BEGINS and event.target in NAMES for event in turns):

@@ -13,7 +13,7 @@ def check_recorded_robots(recording: Recording) -> None:
     """Check that the robots of a recording still have the digests in ``info.robots_sha256``.
 
     Raises:
-        InputError: The files of one are gone or have changed.
+        InputError: The files of a robot are missing or have changed.
         FormatError: The digests are malformed.
     """
     digests = recording.episode.info.get("robots_sha256", {})

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawable:
-    """Object that is rendered. Its index in `Replay.drawables` is its id in instance images."""
+    """Object that is rendered, whose index in `Replay.drawables` is its id in instance images."""
 
     name: str
     mesh: Mesh
@@ -29,17 +29,17 @@ class Drawable:
     layer: str = ""
     semantic_id: int = 0
     agent: int = -1
-    """Index of the agent that the object belongs to; -1 = none."""
+    """Index of the agent to which the object belongs; -1 = none."""
     moving: bool = False
     deformable: bool = False
-    """True if its vertices change and are in the world frame (skinned bodies)."""
+    """True if the object's vertices change and are in the world frame (skinned bodies)."""
     placeholder: bool = False
     """True if the object replaces an asset that was not found."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyTrack:
-    """A rigid body with a recorded track."""
+    """Motion of a rigid body with recorded poses."""
 
     column: int
     scale: NDArray[np.float32]
@@ -47,7 +47,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class LinkTrack:
-    """A link of a robot, or a rigid part of a person, that is rendered from its model."""
+    """Motion of a robot's link, or of a rigid part of a person, from the poses of the model."""
 
     agent: int
     link: int
@@ -55,14 +55,14 @@ class LinkTrack:
 
 @dataclass(frozen=True)
 class PersonTrack:
-    """A person who is rendered from a humanoid model."""
+    """Motion of a person who is rendered from a humanoid model."""
 
     agent: int
 
 
 @dataclass(frozen=True, eq=False)
 class RigTrack:
-    """A body whose mesh follows recorded bones."""
+    """Motion of a body whose mesh follows recorded bones."""
 
     body: Body
     column: str
@@ -72,7 +72,7 @@ class RigTrack:
 
 @dataclass(frozen=True)
 class JointTrack:
-    """A door, a drawer or an object in it, which moves with a joint of the home."""
+    """Motion of a door, a drawer or an object in it with a joint of the home."""
 
     joint: int
     """Index of the joint in ``scene.joint_pos``."""
@@ -83,28 +83,28 @@ Track = BodyTrack | LinkTrack | PersonTrack | RigTrack | JointTrack
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The state of a recording at one step."""
+    """State of a recording at one step."""
 
     step: int
     time_s: float
     poses: dict[str, NDArray[np.float64]] = field(repr=False)
-    """Matrices 4x4 to the world by name, scale included; absent objects are left out."""
+    """Matrices 4x4 from each object's mesh to the world, by name, scale included; absent objects are left out."""
     agents: dict[str, dict[str, Any]]
     """All recorded columns of each agent at this step, by agent name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraTrack:
-    """A camera and its pose at every step."""
+    """Camera with its pose at every step."""
 
     camera: Camera
     poses: Array
     """Matrices 4x4 from camera to world, shape [T, 4, 4]; [1, 4, 4] for a static camera."""
     nears: Array | None = None
-    """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
+    """`Camera.near` at every step, shape [T] [m]; None if it is ``camera.near`` at all steps."""
     crops: bool = True
-    """True if `resized` may cut off the top and bottom of the picture; False if a view of the whole home must stay
-    whole."""
+    """True if `resized` may cut off the top and bottom of the image; False for views that must contain the whole
+    home."""
 
     def at(self, step: int) -> Camera:
         """Return the camera at one step."""
@@ -113,7 +113,7 @@ class CameraTrack:
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
 
     def resized(self, width: int, height: int) -> CameraTrack:
-        """Return the same track with pictures of another size [px]; see `Camera.resized`."""
+        """Return the same track with another image size [px], as `Camera.resized` does."""
         return replace(self, camera=self.camera.resized(width, height, crop=self.crops))
 
 

@@ -1,4 +1,4 @@
-"""`Replay`: a recording with the poses of everything in it, and images of it from any camera."""
+"""Replay of recordings: poses of all objects at any step, and images from any camera."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Replay(PosedRecording):
 
     @cached_property
     def stage(self) -> Stage:
-        """The scene that images are rendered from, shared by all threads; built at first use."""
+        """Scene from which images are rendered, built at first use and shared by all threads."""
         from h3data.replay.stage import Stage
 
         return Stage(self)

@@ -1,4 +1,4 @@
-"""Robots, doors and drawers for web pages: forward kinematics in the browser."""
+"""Descriptions of robots, doors and drawers for web pages, whose forward kinematics is computed in the browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.scene.articulation import handle_points, joints_of
 
 
 def robot_rig(robot: Robot) -> dict[str, Any]:
-    """Return the base frame, number of joints and links of a robot, as ``web/src/scene/robot.ts`` reads them."""
+    """Return the base frame, number of joints and links of a robot, in the form that ``web/src/scene/robot.ts`` reads."""
     links = [
         {
             "name": link.name,
@@ -37,11 +37,11 @@ def robot_rig(robot: Robot) -> dict[str, Any]:
 
 
 def joint_rigs(scene: Scene, *, movable: Container[str] = ()) -> list[dict[str, Any]]:
-    """Return joints of a scene in their order, all in the world as the scene has it, as ``web/src/scene/joints.ts`` reads them.
+    """Return the joints of a scene in order, in the world frame, in the form that ``web/src/scene/joints.ts`` reads.
 
     Args:
         scene: The scene.
-        movable: Names of the instances that have poses of their own, whatever they lie on.
+        movable: Names of the instances that have their own poses and do not move with joints.
     """
     joints, numbers = joints_of(scene), {}
     rigs = []

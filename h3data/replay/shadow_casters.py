@@ -1,4 +1,4 @@
-"""Capsules of everything that moves in a recording, which cast its soft shadows in baked light."""
+"""Capsules of all moving objects in a recording, which cast soft shadows in baked light."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from h3data.scene import Mesh
 
 
 class LightField(Protocol):
-    """Light anywhere in a home, such as `h3data_light.field.LightField`."""
+    """Interface of the light at all points of a home, such as `h3data_light.field.LightField`."""
 
     def blockers(
         self, capsules: NDArray[np.floating], groups: NDArray[np.integer], *, members: NDArray[np.integer]
@@ -27,13 +27,14 @@ class LightField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ShadowCasters:
-    """Moving instances of a scene, in groups that cast no shadow on themselves: an agent, or one thing."""
+    """Moving instances of a scene, in groups that cast no shadow on themselves; a group is an agent or one object."""
 
     field: LightField
     members: NDArray[np.int64]
     """Group of every instance, -1 for static ones, shape [I]."""
     local: NDArray[np.float64]
-    """A capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7]; NaN for no mesh."""
+    """Capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7] [m]; NaN without a
+    mesh."""
 
     def blockers(
         self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
@@ -57,7 +58,10 @@ class ShadowCasters:
 def shadow_casters(
     field: LightField, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], agents: Mapping[int, int]
 ) -> ShadowCasters:
-    """Return the casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
+    """Return the shadow casters of a scene.
+
+    ``agents`` holds the agent of every moving instance, or -1 for objects.
+    """
     members = np.full(len(instances), -1, np.int64)
     local = np.full((len(instances), 7), np.nan)
     first_thing = max(agents.values(), default=-1) + 1
@@ -79,9 +83,9 @@ def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArr
 
 
 def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.float64]:
-    """Return a capsule along the longest side of a box, as thick as its cross-section is large, shape [7].
+    """Return a capsule along the longest side of a box, with a cross-section of the same area, shape [7] [m].
 
-    An empty box has a capsule of NaN.
+    For an empty box the capsule is NaN.
     """
     size, middle = np.subtract(high, low), np.add(low, high) / 2
     if not np.isfinite(size).all() or size.max() <= 0:

@@ -1,4 +1,4 @@
-"""Free lines of sight around points of a recording, from small depth images without agents and the objects they carry."""
+"""Free lines of sight around points of a recording, from small depth images without agents and carried objects."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from h3data.replay.records import BodyTrack, JointTrack
 from h3data.replay.replay import Replay
 
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
-"""Number, size and width of the overlapping images of a panorama, which cover all lines up to 45 degrees off the horizon."""
+"""Number, size [px] and field of view [deg] of the overlapping images of a panorama, which cover all lines up to 45
+degrees off the horizon."""
 AHEAD_PX, AHEAD_DEG = 48, 80.0
 
 
 CARRIED_M, CLEARANCE_M = 0.6, 0.1
-"""Size below which moving objects do not obstruct a view, as they are carried or soon gone; and half the width of a
-free line, which is also the distance at which it ends in front of an obstacle [m]."""
+"""Size below which moving objects do not obstruct a view [m], and half the width of a free line, which is also its
+distance from an obstacle at its end [m]."""
 
 
 class Sight:
@@ -72,7 +73,7 @@ class Sight:
         return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
     def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
+        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], from the panorama there (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
         # 10 cm of slack: a point on a surface would hide itself
@@ -109,7 +110,9 @@ class Fan:
 
 
 class Beam:
-    """Beams along unit ``axes`` [D, 3], tested against the surface points of pixels with ``rays`` [D, P, 3] (z = 1)."""
+    """Computation of free distances along beams with unit ``axes`` [D, 3].
+
+    Beams are tested against the surface points of pixels with ``rays`` [D, P, 3] (z = 1)."""
 
     def __init__(self, rays: Array, axes: Array, focal_px: float) -> None:
         length = np.linalg.norm(rays, axis=-1)
@@ -120,7 +123,10 @@ class Beam:
         """Pixels on the axis or next to it."""
 
     def free(self, depth: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
-        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within `CLEARANCE_M` of the axis obstruct."""
+        """Return the free length [D] [m] of each beam, at most ``max_m``, given z-depth [D, P].
+
+        Points within `CLEARANCE_M` of the axis obstruct.
+        """
         blocks = self._on_axis | (depth * self._across < CLEARANCE_M)
         first = np.where(blocks, depth * self._along, np.inf).min(1)
         return np.clip(first - CLEARANCE_M, 0.0, max_m)

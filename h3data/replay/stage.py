@@ -1,4 +1,4 @@
-"""`Stage`: the drawables of a recording as a scene to render, posed step by step, by several threads."""
+"""Stage of a recording: its drawables as a scene that several threads pose and render at any step."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
 WORLDS = 32
-"""Number of steps that a GPU renders at once, each in a world of its own."""
+"""Number of steps that a GPU renders at once, each in a separate world."""
 JOINT_STEPS = 64
 """Number of steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
 Images = list[dict[str, NDArray[Any]]]
-"""Images of each camera, by output."""
+"""Images of each camera by name of the output, such as ``rgb``."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,10 @@ class _HostCopies:
 
 
 class Stage:
-    """The drawables of a replay as a scene to render. Immutable; threads share it, each with a renderer of its own."""
+    """Drawables of a replay as a scene to render.
+
+    A stage is immutable and shared by threads, each of which has its own renderer.
+    """
 
     def __init__(self, replay: PosedRecording) -> None:
         self.replay = replay
@@ -185,7 +188,7 @@ class Stage:
 
     # --- images -------------------------------------------------------------------------------------------------------
     def renderer(self, backend: Backend = "cpu", *, worlds: int = 1) -> Renderer:
-        """Return a renderer for one thread, to be passed to `render`, or with worlds to `render_steps`."""
+        """Return a renderer for one thread, to be passed to `render`, or to `render_steps` if it has several worlds."""
         return Renderer(self.scene, light=self._light, backend=backend, worlds=worlds)
 
     def render(
@@ -197,7 +200,7 @@ class Stage:
         outputs: Sequence[Output],
         samples: Literal[1, 4] = 1,
     ) -> Images:
-        """Return the outputs of each camera at ``step``, by a renderer of this stage."""
+        """Return the outputs of each camera at ``step``, rendered by a renderer of this stage."""
         people = self._pose(renderer, step, outputs)
         posed: set[_Skin] = set()
         images = []
@@ -217,9 +220,10 @@ class Stage:
         samples: Literal[1, 4] = 1,
         copies: _HostCopies | None = None,
     ) -> list[Images]:
-        """Render several steps at once, each in a world of the renderer, as `render` does.
+        """Render several steps at once, each in one world of the renderer, and return their outputs.
 
-        With ``copies``, the images are valid until the next call with them; otherwise they are new.
+        If ``copies`` are given, the images are written there and valid until their next use; otherwise they are newly
+        allocated.
         """
         people = [self._pose(renderer, step, outputs, world=world) for world, step in enumerate(steps)]
         posed: list[set[_Skin]] = [set() for _ in steps]
@@ -293,10 +297,11 @@ class Stage:
         then: Callable[[int, Images], Any] | None = None,
         backend: FrameBackend = "cpu",
     ) -> Iterator[tuple[int, Any]]:
-        """Yield ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
+        """Yield ``(step, images)`` for each step, as `Replay.frames` does, or ``(step, then(step, images))``.
 
-        ``then`` runs in the thread that rendered the images, or in one of the threads beside a GPU, e.g. to encode them in
-        parallel; it must not keep them, as a GPU's later images take their place. ``backend`` as of `chosen_backend`.
+        ``then`` runs in the thread that rendered the images, or in a worker thread if a GPU renders, for example to
+        encode them in parallel; it must not store them, because later images of a GPU overwrite them. `chosen_backend`
+        describes ``backend``.
         """
         if chosen_backend(backend) == "gpu":
             yield from self._frames_at_once(tracks, steps, outputs, samples, threads, then)
@@ -364,8 +369,8 @@ class Stage:
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
     """Return the renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
 
-    The page `gpu` of the documentation says how the pictures differ. Views without perspective are always rendered on
-    the CPU.
+    The page `gpu` of the documentation describes the differences between their images. Views without perspective are
+    always rendered on the CPU.
 
     Raises:
         InputError: there is no such back end, or ``gpu`` was requested without a GPU.

@@ -1,4 +1,4 @@
-"""The ``third_person`` camera: follows an agent on a free line of sight, with the other agent in view where possible.
+"""Camera ``third_person``, which follows an agent on a free line of sight, with the other agent in view if possible.
 
 Depth images around the agent (`sight`) limit the camera's distance, so it works for any recording. The stages:
 
@@ -31,29 +31,30 @@ class FramingSpec:
     person_m: float = 1.25
     """Height above the floor of the point on a person that the camera keeps in sight [m]."""
     boom_m: float = 2.6
-    """Distance from the agent if there is enough space."""
+    """Distance from the agent if there is enough space [m]."""
     nearest_m: float = 1.0
     """Smallest distance from the agent [m]; if even that is obstructed, the near plane cuts obstacles away
     (`CameraTrack.nears`)."""
     close_m: float = 1.6
     """Distance below which other directions are preferred [m]."""
     head_m: float = 1.5
-    """Height above the floor of the other agent's head."""
+    """Height above the floor of the other agent's head [m]."""
     directions: int = 48
     """Number of directions around the agent that are compared."""
     elevations_deg: tuple[float, ...] = (8.0, 22.0, 42.0)
     """Elevations of the camera over the agent that are compared [degrees]."""
     body_m: float = 0.4
-    """Radius of an agent that obstructs the line of sight to another."""
+    """Radius of agents as obstacles in the line of sight to another agent [m]."""
     key_s: float = 0.2
-    """Time between keys, i.e. steps at which a direction is chosen; directions in between are interpolated and smoothed."""
+    """Time between the steps at which a direction is chosen [s]; directions in between are interpolated and
+    smoothed."""
     smooth_s: float = 0.5
-    """Half width of the window over which the distance is smoothed."""
+    """Half width of the window over which the distance is smoothed [s]."""
     around_s: float = 8.0
-    """Time before and after a step that `third_person_at` considers; with 5 s the camera was up to 0.7 m off, with 8 s
-    it never was."""
+    """Time before and after a step that `third_person_at` considers [s]; with 5 s the camera deviated by up to 0.7 m,
+    with 8 s never."""
     off_axis_rad: float = 0.5
-    """Largest angle between the optical axis and the followed agent."""
+    """Largest angle between the optical axis and the followed agent [rad]."""
     together_rad: float = 1.0
     """Angle between both agents up to which both are in the picture [rad]."""
     apart_rad: float = 1.5
@@ -76,7 +77,7 @@ def third_person(replay: Replay, leader: int | None = None, *, width: int = 640,
 
     Positions are optimised for the whole recording at once, by dynamic programming over directions: a long free line of
     sight, the other agent visible, preferably from behind, and little turning. The followed agent is visible at every
-    step but for those at which another one walks through the line of sight.
+    step except when another agent walks through the line of sight.
 
     Args:
         replay: recording to film.
@@ -102,10 +103,10 @@ def third_person_at(
     height: int = 480,
     around_s: float = FRAMING.around_s,
 ) -> Camera:
-    """Return the camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
+    """Return the camera of `third_person` at one step, computed from the surrounding steps in 0.17 s.
 
     The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes. With
-    ``around_s=0`` it is the best view of this step alone, in 0.02 s, for a picture that is part of no video.
+    ``around_s=0`` it is the best view of this step alone, computed in 0.02 s, for single images.
     """
     scene = _scene(replay, leader)
     run = next(run for run in scene.runs if run[-1] >= step)

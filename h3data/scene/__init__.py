@@ -1,9 +1,10 @@
 """Homes: their furniture and objects, procedural generation, and the floor that agents can walk on.
 
-- `records`: assets, instances, rooms, lights; `scene_file` stores them as GLB, `scene_json` as JSON records and a digest
-- `floor_heights`: how high the floor is at a place, where a home has several storeys
-- `articulation`: poses of doors and drawers, and of scenes in which they are open
-- `sources`: what makes or reads scenes; the generator of furnished homes is the package `h3data_homes`
+- `records`: assets, instances, rooms, lights; `scene_file` stores them as GLB, `scene_json` as JSON records and a
+digest
+- `floor_heights`: heights of the floor in homes with several storeys
+- `articulation`: poses of doors and drawers, and scenes with open ones
+- `sources`: recipes and files of scenes; the generator of furnished homes is the package `h3data_homes`
 - `freespace`: geodesic distances and paths on the free floor
 - `scene_sets`: train, val and test splits of scenes
 - `validation`: faults such as cut-off floor and floating objects

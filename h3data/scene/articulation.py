@@ -1,8 +1,8 @@
-"""Poses of the moving parts of a scene: doors, drawers and what they carry, at any joint positions.
+"""Poses of the moving parts of a scene at any joint positions: doors, drawers and the objects in them.
 
-Joints are numbered through the scene: thing by thing, part by part. The motion of a part is a product of exponentials: with
-all joints at rest nothing moves, and each joint between the body of the thing and the part turns or shifts everything
-behind it about or along its axis at rest.
+Joints are numbered in the order of articulated objects and their parts. The motion of a part is a product of
+exponentials: each joint between the body of the object and the part rotates or shifts all parts behind it about or
+along its axis at rest.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_p
 from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
 
 AJAR = 0.6
-"""Share of a joint's range from which on its part counts as open, so that hands get in."""
+"""Share of a joint's range above which its part counts as open, so that a hand can reach in."""
 
 ON_M, STACK_M = 0.02, 0.1
-"""Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
+"""Largest distances next to or below a receptacle, and above it, at which an object counts as lying on it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class SceneJoints:
     owner: Mapping[str, int]
     """Number of the joint that moves an instance, by its name."""
     enclosing: Mapping[str, tuple[int, ...]]
-    """Joints all of which have to be open to reach a receptacle (``instance|receptacle``)."""
+    """Joints that must all be open to reach a receptacle, by its name ``instance|receptacle``."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -62,13 +62,13 @@ class SceneJoints:
         return (np.asarray(positions, np.float64) - self.closed) / (self.opened - self.closed)
 
     def is_open(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which joints at ``positions`` [..., J] let hands in."""
+        """Return which joints at ``positions`` [..., J] are open enough for a hand, bool [..., J]."""
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
         """Return the world matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
 
-        They map points from where the scene has them.
+        The matrices map points from their positions in the scene.
         """
         positions = np.asarray(positions, np.float64)
         out = np.empty((*positions.shape, 4, 4))
@@ -137,16 +137,16 @@ _NONE = SceneJoints(
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
+    """Return the names ``thing/part`` of a scene's joints, in the order of their positions in recordings."""
     return joints_of(scene).names
 
 
 def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
-    """Return the scene with its joints at other positions: poses of moving parts and rest positions differ.
+    """Return the scene with its joints at other positions, with new poses of moving parts and new rest positions.
 
     Args:
         scene: The scene.
-        positions: Positions of all joints [J] [rad or m], or of some by name; the others stay at rest.
+        positions: Positions of all joints [J] [rad or m], or positions by joint name; other joints stay at rest.
 
     Raises:
         InputError: the number of positions is wrong, a joint's name is unknown, or a position is not finite.
@@ -181,7 +181,7 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
 
 
 def opened(scene: Scene) -> Scene:
-    """Return the scene with everything open that can be opened."""
+    """Return the scene with all doors and drawers open."""
     return posed(scene, joints_of(scene).opened)
 
 
@@ -220,13 +220,14 @@ def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.f
 def rests_on(
     instance: Instance, asset: Asset, feet: ArrayLike, *, motion: NDArray[np.float64] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which of some points, the lowest of things, are on or little over one of the receptacles of an instance.
+    """Return which points, the lowest points of objects, are on or slightly above a receptacle of an instance.
 
     Args:
         instance: The instance.
-        asset: Its asset.
+        asset: Asset of the instance.
         feet: World points, shape [N, 3] [m].
-        motion: Transform of the instance from its place in the scene, as of `SceneJoints.motions`; None: it has not moved.
+        motion: Transform of the instance from its pose in the scene, as in `SceneJoints.motions`; None if it has not
+            moved.
     """
     matrix = instance_matrix(instance) if motion is None else motion @ instance_matrix(instance)
     local = transform_points(np.linalg.inv(matrix), np.asarray(feet, np.float64))
@@ -242,8 +243,8 @@ def rests_on(
 def handle_points(scene: Scene) -> NDArray[np.float64]:
     """Return the points at which hands hold each part, in the world with all joints at rest, shape [J, 3] [m].
 
-    Where the scene does not say, the middle of the side of the part that moves most: the edge of a door far from its
-    hinge, the front of a drawer.
+    If the scene does not define a handle, the point is the middle of the side of the part that moves most: the edge of
+    a door opposite its hinge, or the front of a drawer.
     """
     joints, by_name = joints_of(scene), {i.name: i for i in scene.instances}
     out = np.zeros((len(joints), 3))

@@ -1,7 +1,8 @@
 """Floor heights of homes whose storeys lie side by side in the plan and are joined by stairs.
 
-The floor is one height field over the plan. For whatever moves, a flight of stairs is a ramp (`height_at`); feet stand on its
-treads (`tread_at`). A place belongs to the room whose rectangle is nearest, so places in doorways and walls have a height too.
+The floor is one height field over the plan. For the motion of agents, a flight of stairs is a ramp (`height_at`); feet
+stand on its treads (`tread_at`). A point belongs to the room whose rectangle is nearest, so points in doorways and
+walls have a height too.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
 
 
 def flight_rectangle(row: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Plan rectangle ``x0 z0 x1 z1`` of the ramp in a row of a table of heights, without the landings [m]."""
+    """Return the plan rectangle ``x0 z0 x1 z1`` of the ramp in a row of a table of heights, without the landings [m]."""
     low, high = sorted((float(row[START]), float(row[END])))
     x0, z0, x1, z1 = row[:4].tolist()
     return (low, z0, high, z1) if row[AXIS] == 0 else (x0, low, x1, high)
@@ -67,7 +68,7 @@ def _nearest(heights, x, z):
 
 @kernel_part()
 def height_at(heights, floor_y, x, z):
-    """Return the height of the floor at (x, z) [m], stairs as ramps; ``floor_y`` where the table is empty."""
+    """Return the height of the floor at (x, z) [m], with stairs as ramps, or ``floor_y`` where the table is empty."""
     if heights.shape[0] == 0:
         return floor_y
     k = _nearest(heights, x, z)
@@ -85,7 +86,7 @@ def step_at(heights, x, z):
     """Return the flight of stairs and tread at (x, z).
 
     Returns the row of the flight, -1 if there is none; the number of the tread, which is how many risers are below the
-    point; and the place along the flight, in treads from the ramp's lower end.
+    point; and the position along the flight, in treads from the ramp's lower end.
     """
     if heights.shape[0] == 0:
         return -1, 0, 0.0
@@ -174,19 +175,19 @@ def _measured(heights: NDArray[np.float64], floor_y: float, points: ArrayLike, w
 def floor_heights(
     heights: NDArray[np.float64], floor_y: float, points: ArrayLike, *, treads: bool = False
 ) -> NDArray[np.float64]:
-    """Return heights [...] [m] of the floor at places (x, z) [..., 2]: stairs are ramps, or steps with ``treads``.
+    """Return heights [...] [m] of the floor at points (x, z) [..., 2], with stairs as ramps, or as steps with ``treads``.
 
     Args:
         heights: A table of heights [K, 10] (`room_heights`).
         floor_y: Height of the floor where the table is empty [m].
-        points: Places; NaN gives the height of some room.
-        treads: True measures the tread on which a foot stands there; False the ramp through the stairs.
+        points: Floor points (x, z) [..., 2] [m]; points with NaN get the height of any room.
+        treads: True for the height of the tread under a foot; False for the height of the ramp through the stairs.
     """
     return _measured(heights, floor_y, points, _TREADS if treads else _RAMPS)
 
 
 def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike) -> NDArray[np.float64]:
-    """Return heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2].
+    """Return heights [...] [m] of the plane through the noses of the steps at points (x, z) [..., 2].
 
     Off the stairs these are the heights of the floor.
     """
@@ -194,7 +195,7 @@ def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike
 
 
 def off_risers(heights: NDArray[np.float64], points: ArrayLike, *, gap_m: float = 0.05) -> NDArray[np.float64]:
-    """Move places (x, z) [N, 2] along the stairs so that they are at least ``gap_m`` from every riser."""
+    """Move points (x, z) [N, 2] along the stairs so that they are at least ``gap_m`` from every riser."""
     places = np.array(points, np.float64)
     if len(heights):
         _off_risers(heights, places, gap_m)

@@ -1,6 +1,6 @@
-"""Catalogue of kinds of things: semantic class, mass and grasp of each, read from ``datasets/kinds/``.
+"""Catalogue of kinds of objects with their semantic class, mass and grasp, read from ``datasets/kinds/``.
 
-A file of the catalogue also holds how the generator of homes makes each kind (`Kind.model`), which only the generator reads.
+The files also hold a model of each kind (`Kind.model`), which only the generator of homes reads.
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from h3data.builtin import builtin_root
 
 Grasp = Literal["body", "rim", "handle", "top", "edge", "none"]
-"""Part that a hand grasps: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
-(plates, books, boards); nothing, if it is too heavy or fixed."""
+"""Part that a hand grasps: the whole object around its middle, the rim of an open vessel, a handle, its top, a flat
+edge (plates, books, boards), or nothing if the object is too heavy or fixed."""
 Role = Literal["thing", "furniture", "wall", "building"]
 
 
 class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True):
-    """One kind of thing. Frame of its model: +Y up, front +Z, standing at y = 0; wall things have their back at z = 0."""
+    """Kind of object.
+
+    In the frame of its model, +Y is up, the front faces +Z, and the object stands at y = 0; objects on walls have their
+    back at z = 0.
+    """
 
     name: str
     """Semantic class of the kind (`Asset.category`)."""
@@ -30,16 +34,17 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_f
     """Number in semantic images. It never changes, because recorded images contain it."""
     role: Role
     mass_kg: float
-    """Typical mass of a thing of this kind."""
+    """Typical mass of an object of this kind [kg]."""
     grasp: Grasp = "none"
     hold_m: tuple[float, float, float] | None = None
-    """Position of the handle [m]; None = the place that follows from ``grasp``."""
+    """Position of the handle [m]; None for the position that follows from ``grasp``."""
     generation: int = 2
-    """The first generation of homes in which it occurs."""
+    """The first generation of homes in which the kind occurs."""
     storeys: int = 1
-    """The smallest number of storeys of the homes in which it occurs."""
+    """The smallest number of storeys of the homes in which the kind occurs."""
     model: msgspec.Raw = msgspec.Raw()
-    """Model from which the generator of homes makes it, as JSON; empty for kinds that functions of the generator make."""
+    """Model from which the generator of homes makes it, as JSON; empty for kinds that functions of the generator
+    build."""
 
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -55,8 +60,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         )
     }
 )
-"""All kinds of things by semantic class, in the order of their ids: 1-99 the building and homes of the first
-generation, 100-199 furniture, from 200 things."""
+"""All kinds of objects by semantic class, in the order of their ids: 1-99 the building and kinds of the first
+generation, 100-199 further furniture, from 200 further small objects."""
 CATEGORIES: Mapping[str, int] = MappingProxyType(
     {kind.name: kind.semantic_id for kind in KINDS.values() if kind.generation == 1}
 )
@@ -65,9 +70,9 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
 
 
 def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the point at which a hand grasps a thing with this box [2, 3] [m], +Y up.
+    """Return the point [3] [m] at which a hand grasps an object with a bounding box [2, 3] [m], +Y up.
 
-    This is the middle of the box where a handle is not known.
+    If no handle is known, this is the middle of the box.
     """
     low, high = bounds
     middle = (low + high) / 2

@@ -1,4 +1,4 @@
-"""Scenes by a name: a generated home, a scene of a set, or a file."""
+"""Lookup of scenes by name: a generated home, a scene of a set, or a file."""
 
 from __future__ import annotations
 
@@ -46,12 +46,13 @@ def named_scenes(
     strict: bool = False,
     allow_missing: bool = False,
 ) -> tuple[NamedScene, ...]:
-    """Return the scenes of a name; the other options are those of `SceneFile`.
+    """Return the scenes with a name; the other options are those of `SceneFile`.
 
-    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
-    opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test`` or ``my.toml`` (all
-    of a set), ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB, or a file that an
-    installed package reads. A ``.scene_dataset_config.json`` of Habitat is all its scenes, followed by ``#name`` one of them.
+    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3``
+    (furniture opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test``
+    or ``my.toml`` (all of a set), ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a
+    scene: GLB, or a file that an installed package reads. A ``.scene_dataset_config.json`` of Habitat is all its
+    scenes, followed by ``#name`` one of them.
 
     Raises:
         InputError: there is no such scene; the message lists those that exist.
@@ -66,7 +67,7 @@ def named_scenes(
 
 
 def is_builtin_name(text: str) -> bool:
-    """Return whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
+    """Return whether a text names generated homes (``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):
         # a file of this name comes first, as for everything that takes a path or a name
         return not Path(text).exists()
@@ -75,7 +76,7 @@ def is_builtin_name(text: str) -> bool:
 
 
 def preset_names() -> list[str]:
-    """Return the names of which each stands for one generated scene per seed, such as ``small``."""
+    """Return the names of presets of generated scenes, such as ``small``, each with one scene per seed."""
     return [name for generator in scene_generators().values() for name in generator.names]
 
 
@@ -94,10 +95,12 @@ def collection_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str
 
 
 def open_scene_path(path: str) -> Any:
-    """Return the scene in a file, or the collection if it holds several; None if its name is not that of a scene file.
+    """Return the scene in a file, or the collection if it holds several.
+
+    The result is None if the path does not have the suffix of a scene file.
 
     Raises:
-        SceneError, FormatError: it cannot be read.
+        SceneError, FormatError: the file cannot be read.
     """
     file, scene = collection_and_scene(path)
     if file is not None:
@@ -165,17 +168,17 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
 
 @lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time
 def open_scene(source: SceneSource) -> Scene:
-    """Return the scene itself; equal sources give the same object while it is in use.
+    """Load the scene of a source; equal sources give the same object while it is in use.
 
     Raises:
-        SceneError, FormatError: it cannot be made or read.
+        SceneError, FormatError: the scene cannot be generated or read.
     """
     return scene_of(source)
 
 
 @lru_cache(maxsize=64)
 def open_free_space(source: SceneSource, radius_m: float, height_m: float) -> FreeSpace:
-    """Return the free floor of `open_scene`'s scene for an agent of that size [m]."""
+    """Return the free floor of a scene for an agent with a radius and height [m]."""
     from h3data.scene.freespace.free_space import FreeSpace
 
     return FreeSpace.from_scene(open_scene(source), radius_m=radius_m, height_m=height_m)

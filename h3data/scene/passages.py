@@ -16,16 +16,16 @@ from h3data.scene.records import Scene, Shape, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 
 LEAST_M, FOOT_M = 1.6, 0.3
-"""Least height of doors over the floor, and greatest height of their lower edge."""
+"""Smallest height of doors over the floor, and largest height of their lower edge [m]."""
 
 
 @lru_cache(maxsize=64)
 def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
-    """Return the numbers of the joints whose part, when closed, blocks the floor: the doors between rooms.
+    """Return the indices of the joints whose closed part blocks the floor, which are the doors between rooms.
 
     Args:
         scene: The scene.
-        free: Its floor, for the agents that walk there.
+        free: Free floor of the scene for the agents that walk there.
     """
     joints = joints_of(scene)
     # the fronts of cupboards and wardrobes enclose receptacles; a door between rooms does not
@@ -51,7 +51,7 @@ def passable(scene: Scene, free: FreeSpace) -> Scene:
 
 
 def outlines(scene: Scene, k: int, positions: ArrayLike) -> list[Polygon]:
-    """Return outlines on the floor (x, z) of what joint ``k`` moves, with the joints of the scene at ``positions`` [J]."""
+    """Return outlines on the floor (x, z) [m] of the parts that joint ``k`` moves, with all joints at ``positions`` [J]."""
     motion = joints_of(scene).motions(positions)[k]
     found = (shape_footprint(shape, motion @ matrix, -np.inf, np.inf) for matrix, shape in _shapes(scene, k))
     return [outline for outline in found if outline is not None]

@@ -1,8 +1,4 @@
-"""Records of a scene.
-
-They are assets (meshes, collision parts, receptacles), their instances in the world, doors and drawers, rooms, and
-lights.
-"""
+"""Records of a scene: assets with collision shapes and receptacles, instances, doors and drawers, rooms, and lights."""
 
 from __future__ import annotations
 
@@ -21,7 +17,7 @@ from h3data.mesh.mesh import Mesh
 # --- collision shapes: a closed family, always convex, in the asset's frame --------------------------------------------
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """A box given by the pose of its centre."""
+    """Collision box, given by the pose of its centre and its size."""
 
     pose: NDArray[np.float64]
     """Pose (pose7) of the centre in the asset frame, shape [7]."""
@@ -31,7 +27,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cylinder:
-    """A cylinder about the y axis of its own pose."""
+    """Collision cylinder about the y axis of its own pose."""
 
     pose: NDArray[np.float64]
     """Pose (pose7) of the centre in the asset frame, shape [7]."""
@@ -41,7 +37,7 @@ class Cylinder:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Capsule:
-    """The points within ``radius`` of the segment from ``start`` to ``end``."""
+    """Collision capsule: all points within ``radius`` [m] of the segment from ``start`` to ``end``."""
 
     start: NDArray[np.float64]
     """First end of the axis, shape [3] [m]."""
@@ -52,10 +48,10 @@ class Capsule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hull:
-    """The convex hull of a set of points."""
+    """Collision shape that is the convex hull of a set of points."""
 
     points: NDArray[np.float64]
-    """Corners of the hull, shape [N, 3] [m]."""
+    """Corners of the hull in the asset frame, shape [N, 3] [m]."""
 
 
 Shape = Box | Cylinder | Capsule | Hull
@@ -63,7 +59,7 @@ Shape = Box | Cylinder | Capsule | Hull
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Receptacle:
-    """A horizontal surface of an asset on which objects can be placed: a rectangle with free space above it."""
+    """Horizontal surface of an asset on which objects can be placed: a rectangle with free space above it."""
 
     name: str
     center: NDArray[np.float64]
@@ -76,7 +72,7 @@ class Receptacle:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asset:
-    """One kind of object: its mesh, its collision shapes and the surfaces on which other objects can be placed."""
+    """Kind of object: its mesh, its collision shapes and the surfaces on which other objects can be placed."""
 
     name: str
     mesh: Mesh
@@ -97,7 +93,7 @@ Motion = Literal["static", "kinematic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """Asset with its place in the world."""
+    """Instance of an asset with its pose in the world."""
 
     name: str
     asset: str
@@ -116,30 +112,30 @@ class Instance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
-    """A straight flight of stairs in a room: its floor rises from `Room.floor_y` to ``top_y`` and is level at both ends."""
+    """Straight flight of stairs in a room, whose floor rises from `Room.floor_y` to ``top_y`` and is level at both ends."""
 
     axis: Literal[0, 1]
-    """Plan axis along which it rises: 0 = x, 1 = z."""
+    """Plan axis along which the stairs rise: 0 = x, 1 = z."""
     start: float
     """Coordinate of the lower end of the ramp along its axis [m]."""
     end: float
     """Coordinate of the upper end of the ramp [m]; smaller than ``start`` if it rises towards lower coordinates."""
     top_y: float
-    """Height of the floor above it [m]."""
+    """Height of the floor at the upper end [m]."""
     steps: int
     """Number of risers. They stand in the middle of equal parts, so the ramp passes through the middle of every tread."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
-    """A named floor area."""
+    """Room of a scene: a named floor area."""
 
     name: str
     category: str
     rectangles: NDArray[np.float64]
     """Disjoint rectangles ``x0 z0 x1 z1`` that make up the room, shape [R, 4] [m]."""
     floor_y: float = 0.0
-    """Height of the room's floor; of its lower end if it has a ramp [m]."""
+    """Height of the room's floor [m]; if it has a ramp, at the lower end."""
     ramp: Ramp | None = None
     """Stairs to a room on another storey."""
 
@@ -150,9 +146,11 @@ JointKind = Literal["revolute", "prismatic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """Joint of an articulated object: its part moves about or along an axis. Its position 0 is closed, as in Habitat.
+    """Joint of an articulated object, whose part moves about or along an axis.
 
-    Axis and origin are in the frame of the thing, with all joints at ``rest``.
+    At position 0 it is closed, as in Habitat.
+
+    Axis and origin are in the frame of the object, with all joints at ``rest``.
     """
 
     kind: JointKind
@@ -218,15 +216,15 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """A moving part of an articulated thing: a door or a drawer, with what it carries."""
+    """Moving part of an articulated object: a door or a drawer, with the objects in it."""
 
     name: str
-    """Name of the part, unique in the thing; ``thing/part`` is the name of the joint in the scene."""
+    """Name of the part, unique in the object; ``thing/part`` is the name of the joint in the scene."""
     joint: Joint
     instances: tuple[str, ...]
-    """Instances that move with the joint: the part's own, and things that lie on it in the scene."""
+    """Instances that move with the joint: the part itself, and objects that lie on it in the scene."""
     parent: str = ""
-    """Name of the part to which this one is hinged; empty for the body of the thing, which stands still."""
+    """Name of the part to which this part is attached; empty for the static body of the object."""
     encloses: tuple[str, ...] = ()
     """Receptacles (``instance|receptacle``) that are out of reach unless the part is open."""
     handle: NDArray[np.float64] | None = None
@@ -235,11 +233,11 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Articulation:
-    """A thing with moving parts, such as a fridge. Parts come after the parts that carry them."""
+    """Object with moving parts, such as a fridge; parts come after the parts that carry them."""
 
     name: str
     pose: NDArray[np.float64]
-    """Pose (pose7) of the frame of the thing in the world, shape [7]; in metres, without scale."""
+    """Pose (pose7) of the frame of the object in the world, shape [7]; in metres, without scale."""
     parts: tuple[Part, ...]
     base: str = ""
     """Name of the instance that stands still; empty if there is none."""
@@ -251,7 +249,10 @@ LightFrame = Literal["global", "camera", "object"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightSource:
-    """A lamp or the sun, as in a Habitat lighting config. Baked light uses those in the global frame."""
+    """Light source: a lamp or the sun, as in a Habitat lighting config.
+
+    Baked light uses the sources in the global frame.
+    """
 
     name: str
     kind: LightKind
@@ -269,7 +270,7 @@ class LightSource:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """A home: assets, their instances, rooms and lights. World frame, +Y up, metres."""
+    """Scene or home: assets, their instances, rooms and lights, in the world frame (+Y up, metres)."""
 
     name: str
     assets: Mapping[str, Asset]
@@ -278,10 +279,10 @@ class Scene:
     lights: tuple[LightSource, ...] | None = None
     """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """Source from which the scene is obtained again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's
-    files."""
+    """Source from which the scene can be generated or read again, such as ``{"kind": "home", "preset": "small", "seed":
+    7}``, or Habitat's files."""
     articulations: tuple[Articulation, ...] = ()
-    """Things that open; `h3data.scene.articulation` poses them."""
+    """Objects with doors or drawers; `h3data.scene.articulation` poses them."""
 
     def __post_init__(self) -> None:
         unknown = sorted({i.asset for i in self.instances} - set(self.assets))

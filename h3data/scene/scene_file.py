@@ -1,12 +1,12 @@
-"""A scene as one GLB (glTF 2.0 binary) that any viewer opens and from which the same scene is restored exactly.
+"""Storage of a scene as one GLB (glTF 2.0 binary) that viewers can open and that restores the scene exactly.
 
-Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear, TEXCOORD_0), one node per instance, and one material per
-texture, whose image is embedded once as PNG. Data without a place in glTF (categories, collision shapes, receptacles,
-rooms, float64 poses, ...) is JSON below ``extras.h3data``. sRGB colours survive exactly: the 16-bit linear values of
-neighbouring 8-bit sRGB ones are at least 19 apart.
+Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear, TEXCOORD_0), one node per instance, and one material
+per texture, whose image is embedded once as PNG. Data that glTF cannot represent (categories, collision shapes,
+receptacles, rooms, float64 poses, ...) is JSON below ``extras.h3data``. sRGB colours survive exactly: the 16-bit linear
+values of neighbouring 8-bit sRGB ones are at least 19 apart.
 
-A mesh with ``face_textures`` has one primitive per texture, so its triangles are stored ordered by texture (stable sort).
-The array itself is stored too; from it a reader restores the original order.
+A mesh with ``face_textures`` has one primitive per texture, so its triangles are stored ordered by texture (stable
+sort). The array itself is stored too; from it a reader restores the original order.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ from h3data.scene.scene_json import (
 from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME, FORMAT_VERSION = "h3data.scene", (1, 3)
-"""Name and version (major, minor) of the format. A reader refuses a newer major version and ignores unknown fields. 1.1 added
-textures, 1.2 articulated things, 1.3 stairs; a file without the last two has version 1.1 and the bytes of that version."""
+"""Name and version (major, minor) of the format. A reader refuses a newer major version and ignores unknown fields.
+Version 1.1 added textures, 1.2 articulated objects, 1.3 stairs; a file without the last two has version 1.1."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 

@@ -191,7 +191,7 @@ def read_light(record: dict[str, Any]) -> LightSource:
 
 
 def articulation_record(thing: Articulation) -> dict[str, Any]:
-    """Return an articulated thing as plain JSON."""
+    """Return an articulated object as plain JSON."""
     return {
         "name": thing.name,
         "pose": floats(thing.pose),

@@ -1,7 +1,9 @@
-"""Scene sets: the homes of a split and the number of episodes in each. One TOML file is one split.
+"""Scene sets: the homes of a split and the number of episodes in each.
 
-The file refers to scenes and never contains them: homes as specs, other scenes as paths (h3data docs scene-sets). Episodes are
-not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
+ One TOML file is one split.
+
+The file refers to scenes and never contains them: homes as specs, other scenes as paths (h3data docs scene-sets).
+Episodes are not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
 (`h3data_pipelines.assets.set_episodes`).
 """
 
@@ -26,7 +28,7 @@ FORMAT, SUFFIX = 1, ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class SceneEntry:
-    """Scene of a set."""
+    """Entry of a scene set: a scene with the number of its episodes."""
 
     id: str
     """Name of the scene, unique in its set and unchanged when scenes are added."""
@@ -34,7 +36,7 @@ class SceneEntry:
 
 
 class SocialNavRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The table ``[social_nav]``: the settings that all social-navigation episodes of a set share."""
+    """Table ``[social_nav]`` of a scene set: the settings that all social-navigation episodes of a set share."""
 
     episodes_per_scene: int = 10
     spawn_distance_m: float = 5.0
@@ -51,7 +53,7 @@ class SceneSet:
     social_nav: SocialNavRules
     about: str
     sha256: str
-    """Digest of the file: an interrupted dataset can only be continued with the same set."""
+    """SHA-256 of the file, because an interrupted dataset can only be continued with the same set."""
     skipped: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
     """Numbers of episodes that a task leaves out because they cannot be sampled or completed, by task and id of the
     scene."""
@@ -78,7 +80,9 @@ class SceneSet:
         return entry, index
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
-        """Return the seed (63 bits) of episode ``index`` in a scene. It does not depend on the other scenes, so sets may grow.
+        """Return the seed (63 bits) of episode ``index`` in a scene.
+
+         It does not depend on the other scenes, so scenes may be added to a set.
 
         ``seed`` 0 gives the set's own episodes; any other value gives different episodes in the same scenes.
         """

@@ -28,35 +28,35 @@ SEAT_SIDES = {
 
 
 HEIGHTS_M, LEAST_M, ABOVE_M, BED_STEP_M = (0.2, 0.7), 0.2, 0.05, 0.6
-"""Range of the heights of seats above the furniture's own floor; least width and depth of a seat; shapes that rise above a seat
-by more than `ABOVE_M` stand in the way of the back; distance between places to sit along the side of a bed, and the width of
-one place on a sofa [m]."""
+"""Range of the heights of seats above the floor under the furniture; smallest width and depth of a seat; height above a
+seat from which shapes obstruct the back; distance between places along the side of a bed, and width of a place on a
+sofa [m]."""
 
 
 class Seat(NamedTuple):
-    """A place to sit."""
+    """Place on furniture where a person can sit."""
 
     name: str
-    """Name of the instance; ``:k`` is added where it has several places."""
+    """Name of the instance; ``:k`` is appended if it has several places."""
     category: str
     edge: NDArray[np.float64]
-    """Middle of the front edge at the height of the seat, world [3] [m]."""
+    """Middle of the front edge at the height of the seat, in the world, shape [3] [m]."""
     heading: float
     """Heading of a person who sits there [rad]."""
     depth_m: float
-    """Distance from the front edge to a backrest, or to the far side."""
+    """Distance from the front edge to a backrest, or to the far side [m]."""
     height_m: float
-    """Height above the floor on which the furniture stands."""
+    """Height above the floor on which the furniture stands [m]."""
     ends: tuple[float, float] = (0.0, 0.0)
-    """Ends of the surface, at the head and at the feet of somebody who lies there: distances to the left of a person who sits
-    there, negative to the right [m]."""
+    """Ends of the surface, at the head and the feet of a person who lies there, as distances to the left of a person
+    who sits there, negative to the right [m]."""
 
 
 def seats_of(scene: Scene) -> list[Seat]:
     """Return all places to sit in a home, in the order of its instances.
 
-    The seat is the largest top of a collision shape at a height at which people sit; its front is where the model faces (+Z).
-    Beds are sat on from both sides, and sofas and benches have a place per 0.6 m.
+    The seat is the largest top of a collision shape at a height at which people sit; its front is the side that faces
+    +Z in the model. People sit on both sides of beds, and sofas and benches have a place per 0.6 m.
     """
     seats = []
     for instance in scene.instances:

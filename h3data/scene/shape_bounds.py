@@ -11,7 +11,7 @@ from h3data.geometry import pose_to_matrix, transform_points
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
-"""Number of sides of the prism that stands for a cylinder."""
+"""Number of sides of the prism that replaces a cylinder."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
@@ -53,7 +53,7 @@ def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.floa
 def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
     """Return lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it.
 
-    They are tight for boxes and hulls, and for round shapes unless the scale is uneven.
+    The bounds are tight for boxes and hulls, and for round shapes with the same scale along all axes.
     """
     m = np.asarray(matrix, np.float64)
     if isinstance(shape, Capsule):
@@ -71,7 +71,7 @@ def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
 
 
 def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
-    """Return points [N, 3] in the asset's frame whose hull is the shape; of a cylinder, a prism around it."""
+    """Return points [N, 3] [m] in the asset's frame whose hull is the shape, or for a cylinder a prism around it."""
     if isinstance(shape, Hull):
         return np.asarray(shape.points, np.float64)
     if isinstance(shape, Box):

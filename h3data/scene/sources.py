@@ -1,7 +1,7 @@
-"""Sources of scenes: generators and files; other packages add theirs as entry points of the group ``h3data.scenes``.
+"""Sources of scenes: generators and files, to which packages add others by entry points of the group ``h3data.scenes``.
 
 An entry point is a `SceneGenerator`, whose name is the kind that `Scene.source` and scene sets give (``home``), or a
-`SceneReader` for files of other makers.
+`SceneReader` for files of other programs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 
 class SceneSpec(Protocol):
-    """Specification from which a generator makes a scene. Specs are hashable, and equal ones give the same scene."""
+    """Specification from which a generator makes a scene.
+
+    Specs are hashable, and equal specs give the same scene.
+    """
 
     kind: ClassVar[str]
     """Name of the generator among the `SCENES`."""
@@ -32,24 +35,24 @@ class SceneSpec(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SceneFile:
-    """A scene in a file: one written by `h3data.scene.save_scene`, or of a format that a `SceneReader` reads."""
+    """Scene in a file that `h3data.scene.save_scene` wrote, or in a format that a `SceneReader` reads."""
 
     path: str
     """File of the scene: GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
     scene: str = ""
     """Name of the scene within a file that holds several, such as a ``.scene_dataset_config.json``."""
     assets: tuple[str, ...] = ()
-    """Additional folders in which the scene's files are searched; if empty, those of H3DATA_ASSETS."""
+    """Additional folders in which the scene's files are searched; if empty, the folders in H3DATA_ASSETS."""
     strict: bool = False
     """True if warnings count as errors."""
     allow_missing: bool = False
     """True if objects whose files are missing are left out with a warning."""
 
     def open(self) -> Scene:
-        """Return the scene in the file as it is now.
+        """Read the scene from the current contents of the file.
 
         Raises:
-            SceneError, FormatError: it cannot be read.
+            SceneError, FormatError: the file cannot be read.
         """
         # ours first: it is a GLB too, which a reader of meshes would take for a building without rooms
         if not self.scene and _is_ours(Path(self.path)):
@@ -64,7 +67,7 @@ class SceneFile:
 
 
 SceneSource = SceneSpec | SceneFile
-"""Everything that identifies a scene; hashable."""
+"""Hashable specification that identifies a scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,22 +105,22 @@ class SceneReader:
     """Reader of scenes from files of one format, which may also write such files."""
 
     endings: Sequence[str]
-    """Endings of the files' names, in lower case."""
+    """Suffixes of the files, in lower case."""
     read: Callable[[SceneFile], Scene]
     collection: str = ""
-    """Ending, one of `endings`, of files that hold several scenes, named as ``path#scene``; empty if none do."""
+    """Suffix, one of `endings`, of files that hold several scenes, named as ``path#scene``; empty if none do."""
     open_collection: Callable[[Path], Any] | None = None
-    """Function that makes the object that `h3data.open` returns for such a file."""
+    """Function that makes the object that `h3data.open` returns for a collection file."""
     scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
-    """Function that returns the names of the scenes in such a file."""
+    """Function that returns the names of the scenes in a collection file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
     """Function that returns the mesh of an object template, as `object_mesh`."""
     write_collection: Callable[..., Path] | None = None
     """Function that writes scenes as a new collection. It is called as ``(scenes, folder, *, name=None,
     split_building=False, force=False)`` and returns the collection's file in the new ``folder``. ``split_building``
-    makes walls and floors objects of their own."""
+    stores walls and floors as separate objects."""
     write_scene: Callable[[Scene, Path], Sequence[Path]] | None = None
-    """Function that writes one scene as a file of this format and returns the files, the named one first."""
+    """Function that writes one scene as a file of this format and returns the files, the scene file first."""
     with_objects: (
         Callable[
             [Sequence[Scene], Path, Sequence[str | Path]],
@@ -125,10 +128,10 @@ class SceneReader:
         ]
         | None
     ) = None
-    """Function that replaces movable things by objects of a folder, found with the asset folders. It returns the
-    scenes, the number of things that were replaced, and facts of every object by name."""
+    """Function that replaces movable objects by object templates in a folder. It returns the scenes, the number of
+    replaced objects, and facts about every template by name."""
     recognizes: Callable[[Path], bool] = lambda _: True
-    """Function that returns whether a file with such an ending has this format, for endings that others use too."""
+    """Function that returns whether a file has this format, for suffixes that other formats use too."""
 
 
 def _check(entry: Any) -> None:
@@ -161,7 +164,7 @@ def scene_readers() -> list[SceneReader]:
 def reader_of(path: str) -> SceneReader | None:
     """Return the reader of a scene file, by its name and, if formats share an ending, its content.
 
-    The result is None if there is none.
+    The result is None if no reader fits.
     """
     text = path.lower()
     fitting = (reader for reader in scene_readers() if text.endswith(tuple(reader.endings)))
@@ -170,11 +173,11 @@ def reader_of(path: str) -> SceneReader | None:
 
 
 def scene_of(source: SceneSource) -> Scene:
-    """Make or read a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
+    """Generate or read a scene without caching (`h3data.scene.open.open_scene` caches scenes).
 
     Raises:
-        InputError: the package that makes such scenes is not installed.
-        SceneError, FormatError: it cannot be made or read.
+        InputError: the package that generates such scenes is not installed.
+        SceneError, FormatError: the scene cannot be generated or read.
     """
     if isinstance(source, SceneFile):
         return source.open()
@@ -182,10 +185,10 @@ def scene_of(source: SceneSource) -> Scene:
 
 
 def scene_files(maker: str) -> SceneReader:
-    """Return the reader and writer of a maker's files, such as ``habitat``.
+    """Return the reader and writer of scene files of a kind, such as ``habitat``.
 
     Raises:
-        InputError: the package that has it is not installed.
+        InputError: the package that provides it is not installed.
     """
     return cast(SceneReader, SCENES.get(maker))
 
@@ -196,9 +199,9 @@ def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     The origin of that frame is the centre of mass.
 
     Args:
-        name: The template's name.
-        file: Its config or mesh.
-        roots: Folders below which the files are that a config names.
+        name: Name of the template.
+        file: Config or mesh file of the template.
+        roots: Folders in which files that a config names are searched.
 
     Raises:
         SceneError: the template cannot be used, or no installed package reads such files.

@@ -1,4 +1,4 @@
-"""Scenes: homes and other places, the free floor in them, and sets of them (h3data docs scenes)."""
+"""Scenes: homes and other places, their free floor, and sets of scenes (h3data docs scenes)."""
 
 from __future__ import annotations
 

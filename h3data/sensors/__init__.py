@@ -1,4 +1,4 @@
-"""Sensors: observations of agents, and the parts for sensors of your own (h3data docs extending)."""
+"""Sensors, which compute the observations of agents, and base classes for custom sensors (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Statistics of comparisons of runs: arrays in, numbers out.
+"""Statistics for comparing runs, computed from plain arrays.
 
-Knows neither recordings nor metrics. Everything random is seeded, and NaN stands for an undefined value. Mixed models and the
-other statistics of studies with people are in `h3data_studies.statistics`.
+The functions do not depend on recordings or metrics. Random methods are seeded, and NaN stands for an undefined value.
+Mixed models and the other statistics of studies with people are in `h3data_studies.statistics`.
 
 ================= ======================================================================================================
 intervals         `wilson_interval` (rates), `bootstrap_interval` and `bootstrap_intervals` (means over episodes),

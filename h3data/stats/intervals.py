@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 
 _BLOCK, _WORTH_THREADS = 250_000, 64
-"""Random indices that are drawn together, 2 MB, which stay in a core's cache; blocks of all columns from which on other cores
-help, 50 ms of work."""
+"""Number of random indices that are sampled together (2 MB, which fit in a core's cache), and number of blocks of all
+columns above which several cores are used (50 ms of work)."""
 
 
 def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
@@ -55,7 +55,10 @@ def bootstrap_interval(
 def bootstrap_intervals(
     columns: Sequence[ArrayLike], *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> list[tuple[float, float]]:
-    """Return the `bootstrap_interval` of each of several columns [E]; columns with equally many values share their samples."""
+    """Return the `bootstrap_interval` of each of several columns [E].
+
+    Columns with the same number of values share their samples.
+    """
     check_confidence(confidence)
     defined = [_defined(values) for values in columns]
     means: dict[int, NDArray[np.float64]] = {}
@@ -103,7 +106,7 @@ def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, see
 def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
     """Return Student's t interval of the mean of ``values`` [E]; NaN below two defined values.
 
-    For a few runs, such as training seeds, where a bootstrap is too narrow.
+    It is for a few runs, such as training seeds, for which a bootstrap interval is too narrow.
     """
     from scipy.special import stdtrit
 

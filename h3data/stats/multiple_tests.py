@@ -1,4 +1,4 @@
-"""P values of many tests made together."""
+"""Adjustment of the p values of several tests for multiple testing."""
 
 # Three formulas of two lines each are no reason to depend on statsmodels (its `multipletests`), the only other package
 # with all three. tests/stats/test_intervals.py checks Benjamini-Hochberg against scipy.stats, the others by hand.
@@ -18,8 +18,8 @@ PAdjustment = Literal["holm", "bonferroni", "benjamini-hochberg", "none"]
 def adjust_p_values(p: ArrayLike, *, method: PAdjustment = "holm") -> NDArray[np.float64]:
     """Return the adjusted p values [M] of M tests, in their order; NaN stays NaN and does not count as a test.
 
-    ``holm`` and ``bonferroni`` bound the chance of any false finding (Holm 1979), ``benjamini-hochberg`` the expected
-    share of false ones among the findings (1995).
+    ``holm`` and ``bonferroni`` bound the chance of any false finding (Holm 1979), ``benjamini-hochberg`` bounds the
+    expected share of false findings among all findings (1995).
     """
     values = np.asarray(p, np.float64)
     if values.ndim != 1 or (values < 0).any() or (values > 1).any():

@@ -18,7 +18,7 @@ from h3data.stats.intervals import bootstrap_interval
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
 _ENUMERATED = 20
-"""Number of differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
+"""Number of differences other than 0 up to which all 2^n patterns of signs are evaluated (half a million sums)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class PairedComparison:
     p: float
     """Two-sided p value; NaN below two pairs."""
     p_adjusted: float
-    """P value adjusted for all metrics compared together; equals ``p`` for a single one."""
+    """P value adjusted for all metrics compared together; equals ``p`` for a single metric."""
     method: str
     effect: float
     """Size of the effect, of the kind in ``effect_name``; positive if the first run is larger, NaN if undefined."""
@@ -61,12 +61,13 @@ def compare_paired(
     ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
     10,000 seeded random patterns; Cohen's d_z = mean / std of the differences.
     ``t``: Student's paired t test; d_z.
-    ``wilcoxon``: signed ranks, exact up to 20, with ties too; matched-pairs rank-biserial correlation (Kerby 2014), zeros left
+    ``wilcoxon``: signed ranks, exact up to 20, with ties too; matched-pairs rank-biserial correlation (Kerby 2014),
+        zeros left
     out.
     ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
     ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
 
-    The result's ``notes`` say where a test cannot tell much: of 0/1 values only the pairs that differ count, and n such pairs
+    The ``notes`` of the result state limits of a test: of 0/1 values only the pairs that differ count, and n such pairs
     give no p value below 2 / 2^n.
 
     Raises:
@@ -212,6 +213,6 @@ def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]
 
 
 def some_of(names: Sequence[str], most: int = 5) -> str:
-    """Return the first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
+    """Return the first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` if there are none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more or "none"

@@ -1,4 +1,4 @@
-"""Tasks: base classes for tasks of your own (h3data docs extending)."""
+"""Base classes for custom tasks (h3data docs extending)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arms of a person, folded where there is little room."""
+"""Arm poses of a person that fold the arms in narrow places."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from h3data.errors import InputError
 from h3data.geometry import Array, quat_from_matrix
 
 HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
-"""Angles of a folded upper arm: downwards from the T-pose, forwards, and inwards about itself, which brings a bent forearm in
-front of the body."""
+"""Angles of a folded upper arm [deg]: downwards from the T-pose, forwards, and inwards about its own axis, which brings
+a bent forearm in front of the body."""
 
 CLOSE_HANG_DEG, COLLAR_DEG = 88.0, 20.0
-"""Angles of the upper arm and the collar of people with planted feet. Their shoulders also move forward, so that broad bodies
-are 2.5 cm narrower on each side and fit between walls 50 cm apart. Poses from clips, which contact uses, have `HANG_DEG`."""
+"""Angles of the folded upper arm and collar for people with planted feet [deg]. Their shoulders also move forward, so
+that broad bodies are 2.5 cm narrower on each side and fit between walls 50 cm apart. Poses from clips, on which contact
+tests are based, use `HANG_DEG`."""
 CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 18.0, 10.0, 118.0
-"""Angles of an arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the
-belly."""
+"""Angles of an arm that holds something close to the body [deg]: the elbow is at the side and slightly back, the
+forearm across the belly."""
 
 ARM_JOINTS = ("shoulder", "elbow", "wrist")
 """Joints of an arm that turn when its hand follows a given path."""
@@ -63,12 +64,14 @@ CARRY_CLOSE = np.stack(
 
 
 def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:
-    """Draw the arms of poses in, in place.
+    """Fold the arms of poses towards the body, in place.
 
     Args:
-        quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; elbows keep what they do.
-        arms: Degree to which the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
-        shoulders_forward: Closer, as people with planted feet do; else as poses by clips, which contact takes.
+        quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; the bend of the
+            elbows does not.
+        arms: Degree to which the left and right arm are folded, 0 (unchanged) to 1 (close to the body), [T, 2] or [2].
+        shoulders_forward: True for the closer fold of people with planted feet; False for the fold of poses from clips,
+            on which contact tests are based.
 
     Raises:
         InputError: there are not two finite numbers for each pose; then nothing has changed.

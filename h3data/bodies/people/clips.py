@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     from h3data.bodies.people.kernels.clips import ClipArrays
 
 STAND_BELOW_MPS = 0.15
-"""Speed below which nobody steps and the standing clip plays."""
+"""Speed below which a person takes no steps and the standing clip plays [m/s]."""
 WALK_SPEEDS_MPS = (0.6, 1.0, 1.3, 1.6)
 JOG_SPEED_MPS = 2.5
-"""The speed of the social-navigation task (spec/habitat.md: 10 units)."""
+"""Speed of people in the social-navigation task [m/s] (spec/habitat.md: 10 units)."""
 JOG_ABOVE_MPS = 2.0
 CLIP_FRAMES = 128
-"""Number of frames of a clip. Between them poses are interpolated linearly: planted feet creep less than 0.1 mm (all
-bodies)."""
+"""Number of frames of a clip; poses between frames are interpolated linearly, which moves planted feet by less than 0.1
+mm."""
 _FLAT = np.zeros((0, 2))
 """Heights of a floor that is level with the root."""
 TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""Rotation from the body frame (+Z forward) to the agent root frame (x forward)."""
+"""Rotation from the body frame (+Z forward) to the agent root frame (x forward), as a quaternion xyzw."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,17 +53,20 @@ class Clip:
 
     name: str
     speed_mps: float
-    """Speed at which the clip was made; 0 = on the spot."""
+    """Walking speed of the clip [m/s]; 0 for a motion on the spot."""
     stride_m: float
-    """Distance per cycle (two steps): the phase advances by distance / stride. 1 for clips on the spot."""
+    """Distance per cycle of two steps [m], by which the phase advances; 1 for clips on the spot."""
     period_s: float
-    """Duration of a cycle at ``speed_mps``."""
+    """Duration of a cycle at ``speed_mps`` [s]."""
     stance: float
-    """Share of the cycle that one foot spends on the floor, from its heel strike on (left 0, right 0.5)."""
+    """Share of the cycle that each foot spends on the floor, starting at its heel strike (left: phase 0, right: phase
+    0.5)."""
     start_phase: float = 0.0
-    """Phase at which a walk begins from standing: the left foot is where it stands, the right one in the air beside it."""
+    """Phase, 0 to 1, at which a walk starts from standing: the left foot is at its standing position, the right foot in
+    the air beside it."""
     turn_rad: float = 0.0
-    """Turn of the root to the left per cycle, of clips that turn on the spot: the phase advances by turn / turn_rad."""
+    """Turn of the root to the left per cycle [rad], for clips that turn on the spot; their phase advances by turn /
+    turn_rad."""
     quats: Array
     """Local joint rotations xyzw, shape [F, 55, 4]; frame k is at phase k / F; the signs are continuous round the cycle."""
     pelvis: Array
@@ -82,14 +85,14 @@ class Clip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gaits:
-    """Walking gait of one body: its legs, and the parameters fitted to it (`h3data.bodies.people.gait.PARAMETERS`)."""
+    """Walking gait of one body: its legs and the gait parameters fitted to them (`h3data.bodies.people.gait.PARAMETERS`)."""
 
     legs: Legs
     height_m: float
     walk: Array
-    """Fitted values at `WALK_SPEEDS_MPS`, shape [4, P]."""
+    """Fitted gait parameters at the four `WALK_SPEEDS_MPS`, shape [4, P]."""
     jog: Array
-    """Fitted values at `JOG_SPEED_MPS`, shape [P']."""
+    """Fitted gait parameters of jogging at `JOG_SPEED_MPS`, shape [P']."""
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
         """Return the distance per cycle [...] [m] at speeds [...] [m/s]."""
@@ -99,7 +102,7 @@ class Gaits:
         )
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
-        """Return postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
+        """Return postures for moving at speeds [T] [m/s]; parameters are interpolated between the fitted speeds."""
         # callers ask for walking and jogging apart, since each has fitted values of its own
         if np.all(speed_mps > JOG_ABOVE_MPS):
             return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
@@ -110,25 +113,25 @@ class Gaits:
         return (JOG if speed_mps > JOG_ABOVE_MPS else WALK).stance
 
     def strike(self, speed_mps: float) -> float:
-        """Return the distance ahead of the pelvis at which a foot strikes at a speed [m/s], in strides."""
+        """Return the distance ahead of the pelvis at which a foot strikes, in strides, at a speed [m/s]."""
         jogs = speed_mps > JOG_ABOVE_MPS
         values = self.jog if jogs else self.walk_values(speed_mps)
         return float(strike_ahead(JOG if jogs else WALK, values[PARAMETERS.index("shift")]))
 
     def start_phase(self, speed_mps: float) -> float:
-        """Return the phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
+        """Return the phase at which a walk starts: the left foot is exactly where it is in the standing pose."""
         # a planted foot is stride * (strike - phase) ahead of the pelvis; solved for the ankle of a standing person
         return self.strike(speed_mps) - STAND_ANKLE_Z_M / float(self.stride_m(speed_mps))
 
     def walk_values(self, speed_mps: ArrayLike) -> Array:
-        """Return values [..., P] of walking at speeds [...] [m/s], between those fitted."""
+        """Return gait parameters [..., P] for walking at speeds [...] [m/s], interpolated between the fitted speeds."""
         speed = np.asarray(speed_mps, np.float64)
         # beyond the fitted speeds `interp` keeps the values of the nearest one
         return np.stack([np.interp(speed, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=-1)
 
 
 def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
-    """Return clips of a body, sampled for fast reading (30 ms): standing, the walks, the jog and the two stepping turns."""
+    """Compute the clips of a body, which takes 30 ms: standing, the walks, the jog and the two turns on the spot."""
     legs, phase = gaits.legs, np.arange(CLIP_FRAMES) / CLIP_FRAMES
     clips = [_clip("stand", legs, stand_posture(legs))]
     for speed in (*WALK_SPEEDS_MPS, JOG_SPEED_MPS):
@@ -186,9 +189,9 @@ def _clip(
 def pose_at_speed(
     gaits: Gaits, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Return local rotations [T, 55, 4] and pelvis places [T, 3], agent root frame, of moving at any speed [T] [m/s].
+    """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] in the agent root frame for speeds [T] [m/s].
 
-    ``phase`` [T], ``blend`` [T] and ``ground`` as in `sample_clips`.
+    The arguments ``phase`` [T], ``blend`` [T] and ``ground`` are described in `sample_clips`.
     """
     from h3data.bodies.people.kernels.legs import settle_all
 
@@ -228,21 +231,21 @@ def _floor_heights(ground: ArrayLike, frames: int) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClipTable:
-    """All clips of a body in one array, so that frames of different clips are read by one gather."""
+    """Table of the frames of all clips of a body, from which frames of different clips are read in one operation."""
 
     legs: Legs
     first: NDArray[np.int64]
-    """Row of each clip's first frame."""
+    """Row of each clip's first frame, shape [C]."""
     frames: NDArray[np.int64]
-    """Number of frames of each clip."""
+    """Number of frames of each clip, shape [C]."""
     quats: Array
-    """Rotations of the joints in each frame as quaternions, shape [sum of frames, 55, 4]."""
+    """Rotations of the joints in each frame as quaternions xyzw, shape [sum of frames, 55, 4]."""
     pelvis: Array
-    """Position of the pelvis in each frame, shape [sum of frames, 3]."""
+    """Position of the pelvis in each frame relative to the root, shape [sum of frames, 3] [m]."""
     ankle: Array
-    """Position of each ankle in each frame, shape [sum of frames, 2, 3]."""
+    """Position of each ankle in each frame, in the body frame, shape [sum of frames, 2, 3] [m]."""
     foot: Array
-    """Direction of each foot in each frame, shape [sum of frames, 2, 3]."""
+    """Pitch, yaw and toe bend of each foot in each frame, shape [sum of frames, 2, 3] [deg]."""
 
     @cached_property
     def arrays(self) -> ClipArrays:
@@ -263,7 +266,7 @@ class ClipTable:
 
 
 def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
-    """Return the clips, one below the other; the first one must be the standing pose."""
+    """Concatenate clips into one table; the first clip must be the standing pose."""
     frames = np.array([len(c) for c in clips])
     return ClipTable(
         legs=legs,
@@ -279,12 +282,12 @@ def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
 def sample_clips(
     table: ClipTable, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+    """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] of clips in the agent root frame.
 
-    ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
-    ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see
+    ``motion_id`` [T] selects clips. ``phase`` [T] is the position in the cycle; only its fraction counts. ``blend`` [T]
+    interpolates from the standing pose (0) to the clip (1), by steps instead of sliding feet (see
     `h3data.bodies.people.kernels.legs.settle`). ``ground`` [T, 2] is the height of the floor under the left and the
-    right foot [m], relative to the root. Frames are interpolated: the motion is continuous.
+    right foot [m], relative to the root. Frames are interpolated, so the motion is continuous.
     """
     from h3data.bodies.people.kernels.clips import sample_all
 
@@ -303,7 +306,7 @@ def sample_clips(
 
 
 def nearest_clip(clips: Sequence[Clip], speed_mps: float) -> int:
-    """Return the index of the clip whose speed is nearest in ratio; a standing clip below `STAND_BELOW_MPS`."""
+    """Return the index of the clip whose speed is nearest in ratio; below `STAND_BELOW_MPS`, of a standing clip."""
     return _nearest_speed(tuple([c.speed_mps for c in clips]), abs(float(speed_mps)))
 
 

@@ -1,8 +1,9 @@
-"""Foot-planted walking, jogging and turning: from given feet, the legs follow by closed-form inverse kinematics.
+"""Walking, jogging and turning with planted feet; the legs follow from the feet by closed-form inverse kinematics.
 
-During stance a foot pivots about its heel (toes up) or its ball (heel up, toes bent flat); the pivot rests on the floor,
-so nothing slides by construction. In swing the ankle flies along a Hermite curve with bumps. What is fitted per body and
-speed (pelvis height, bumps, pitch offsets) makes hip, knee and ankle follow normative curves (research/humanoids.md 2).
+During stance a foot pivots about its heel (toes up) or its ball (heel up, toes bent flat); the pivot rests on the
+floor, so nothing slides by construction. In swing the ankle flies along a Hermite curve with bumps. Parameters that are
+fitted per body and speed (pelvis height, bumps, pitch offsets) make hip, knee and ankle follow normative curves
+(research/humanoids.md 2).
 
 Everything here is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
 """
@@ -20,15 +21,15 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX
 from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix
 
 STAND_ANKLE_Z_M = -0.03
-"""Distance of a standing person's ankles behind the place of the pelvis [m]."""
+"""Distance of a standing person's ankles behind the pelvis [m]."""
 TURN_PER_CYCLE_RAD = np.pi / 4
-"""Angle of a turn on the spot per cycle, in which each foot is placed anew every 45 degrees [rad]."""
+"""Angle of a turn on the spot per cycle [rad]; each foot takes a step every 45 degrees."""
 _TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaitStyle:
-    """Parameters that distinguish walking from jogging. Angles are in degrees, phases are shares of the cycle."""
+    """Parameters that distinguish walking from jogging, with angles in degrees and phases as shares of the cycle."""
 
     stance: float
     pitch: tuple[tuple[float, float], ...]
@@ -103,14 +104,15 @@ JOG = GaitStyle(
     elbow_swing=12,
 )
 PARAMETERS = ("height", "cos2", "sin2", "cos4", "sin4", "shift", "lift", "lift_skew", "reach", "reach_skew")
-"""Fitted values of a gait; the offsets [deg] of its loose pitch knots follow them."""
+"""Names of the fitted gait parameters; the offsets [deg] of the loose pitch knots follow them in arrays of
+parameters."""
 
 
 def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
-    """Return the distance walked in a cycle [...] [m].
+    """Return the distance walked in a cycle of two steps [...] [m].
 
-    A step is sqrt(WR 60 v), with the walk ratio WR = 0.0062 m per step/min at a leg length of 0.86 m (Sekiya et al.:
-    0.0065).
+    The length of a step is sqrt(WR 60 v), with the walk ratio WR = 0.0062 m per step/min at a leg length of 0.86 m
+    (Sekiya et al.: 0.0065).
     """
     ratio = 0.0062 * legs.length / 0.86
     # twice: a cycle is two steps. The walk ratio, step length over cadence, is nearly constant for a person
@@ -118,12 +120,15 @@ def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
 
 
 def jog_stride(height_m: float, speed_mps: ArrayLike) -> Array:
-    """Return the distance per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
+    """Return the distance per cycle of jogging [...] [m].
+
+    A person of 1.72 m takes 160 steps a minute; shorter people step faster.
+    """
     return 2 * np.asarray(speed_mps, np.float64) / (160 / 60 * float(np.sqrt(1.72 / height_m)))
 
 
 def amplitude(legs: Legs, stride_m: Array) -> Array:
-    """Return the scale of all angles, 1 for a step of 0.82 leg lengths: slow gaits with short steps move less."""
+    """Return the scale of all joint angles, which is 1 for a step of 0.82 leg lengths and smaller for shorter steps."""
     return np.minimum(1.0, stride_m / 2 / (0.82 * legs.length))
 
 
@@ -174,7 +179,7 @@ def gait_posture(
 
 
 def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
-    """Return the distance ahead of the pelvis at which a foot strikes, in strides."""
+    """Return the distance ahead of the pelvis at which a foot strikes the floor, in strides."""
     return style.stance / 2 - 0.045 + shift
 
 
@@ -278,7 +283,7 @@ def _set_arm(quats: Array, side: str, sign: float, flexion: Array, elbow: Array,
 
 # --- standing and turning on the spot ----------------------------------------------------------------
 def stand_posture(legs: Legs, frames: int = 1) -> Posture:
-    """Return the standing posture: feet flat, knees hardly bent, arms hanging."""
+    """Return the standing posture, with flat feet, slightly bent knees and hanging arms."""
     quats = np.tile([0.0, 0, 0, 1], (frames, JOINT_COUNT, 1))
     turn = rotation(X, 2.0)
     quats[:, 0] = quat_from_matrix(turn[None])
@@ -296,7 +301,7 @@ def stand_posture(legs: Legs, frames: int = 1) -> Posture:
 def turn_posture(legs: Legs, phase: Array, *, left: bool) -> Posture:
     """Return the posture while turning on the spot by small steps.
 
-    The root turns by `TURN_PER_CYCLE_RAD` per cycle, the feet on the floor do not.
+    The root turns by `TURN_PER_CYCLE_RAD` per cycle; feet on the floor do not turn.
     """
     stand = stand_posture(legs, len(phase))
     ankle, foot, pelvis = stand.ankle.copy(), stand.foot.copy(), stand.pelvis.copy()

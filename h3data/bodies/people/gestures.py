@@ -1,8 +1,8 @@
-"""Gestures: movements of the hands of somebody who stands or sits, from a few places that the wrists go to.
+"""Gestures of a standing or sitting person: movements of the hands through a few positions of the wrists.
 
-A place is relative to the shoulder and in lengths of the arm, so one gesture fits all bodies. The arms follow by closed-form
-inverse kinematics (`h3data.bodies.people.kernels.postures`). A gesture repeats until it ends; each movement from place to place
-starts and stops at rest, as the strokes of human gestures do.
+Positions are relative to the shoulder and in arm lengths, so one gesture fits all bodies. The arms follow by
+closed-form inverse kinematics (`h3data.bodies.people.kernels.postures`). A gesture repeats until it ends; each movement
+between two positions starts and stops at rest, as human gestures do.
 """
 
 from __future__ import annotations
@@ -23,25 +23,26 @@ if TYPE_CHECKING:
     from h3data.bodies.people.humanoid import Humanoid
 
 Place = tuple[float, float, float] | None
-"""Place of a wrist, ahead of its shoulder, above it and outwards, in lengths of the arm; None: the hand is not used."""
+"""Position of a wrist relative to its shoulder (ahead, above, outwards) in arm lengths; None if the hand is not
+used."""
 
 
 class Gesture(NamedTuple):
-    """A movement of the hands that repeats."""
+    """Repeating movement of the hands."""
 
     seconds: float
     """Duration of one repetition [s]."""
     left: tuple[Place, ...]
-    """Places of the left wrist, equally spaced in time."""
+    """Positions of the left wrist, equally spaced in time."""
     right: tuple[Place, ...]
     head_deg: float = 0.0
-    """Angle by which the head is lowered."""
+    """Angle by which the head is lowered [deg]."""
     least_m: float = 0.0
-    """Lowest height of the wrists above the floor, over what the hands work on [m]."""
+    """Lowest height of the wrists above the floor [m], which keeps them above the surface on which the hands work."""
     twist_deg: float = 35.0
-    """Twist of the forearm and again of the wrist; positive turns the palm down."""
+    """Twist of the forearm, and the same twist of the wrist [deg]; positive angles turn the palm down."""
     seated: bool = False
-    """True if only seated people do it."""
+    """True if only seated people make the gesture."""
 
 
 _BOOK = ((0.52, -0.42, -0.22),)
@@ -101,7 +102,7 @@ NAMES = tuple(GESTURES)
 POLE = np.array([-0.35, -0.8, 0.45])
 """Direction of the elbows: back, down and outwards."""
 RAISED = 0.38
-"""Distance below the shoulder up to which work may lift a wrist, in lengths of the arm."""
+"""Distance below the shoulder above which no gesture lifts a wrist for a work surface, in arm lengths."""
 
 
 def _keys() -> tuple[Array, NDArray[np.int64], Array]:
@@ -124,13 +125,13 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
     """Add gestures to poses of people who stand or sit, in place.
 
     Args:
-        body: Their body.
+        body: Body of the people.
         quats: Local rotations [T, 55, 4]; those of arms, neck and head change.
-        pelvis: Places of the pelvis in the agent root frame [T, 3].
+        pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
         gestures: Number of the gesture in `NAMES`, seconds since it began, and its weight from 0 (none) to 1, [T, 3].
 
     Raises:
-        InputError: there are not three finite numbers for each pose, or a number is that of no gesture.
+        InputError: there are not three finite numbers for each pose, or no gesture has one of the numbers.
     """
     gestures = np.asarray(gestures, np.float64)
     fits = gestures.shape == (len(quats), 3) and np.isfinite(gestures).all()
@@ -146,26 +147,27 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
 
 # --- hands that handle things ----------------------------------------------------------------------------------------------
 BOTH: tuple[Hand, Hand] = ("left", "right")
-"""Both hands, in the order of arrays of hands."""
+"""Left and right hand, in the order in which arrays of hands hold them."""
 CURL_RAD, HAND_TWIST_RAD = 0.55, 0.1
-"""Bend of the fingers around what a hand holds; twist of its forearm and again of its wrist."""
+"""Bend of the fingers around a held object, and the twist of the forearm and again of the wrist."""
 ARMS = CARRY_JOINTS[:, 1:]
-"""Shoulder, elbow and wrist of the left and the right arm, [2, 3]."""
+"""Joint indices of shoulder, elbow and wrist of the left and the right arm, [2, 3]."""
 
 
 def lead_hands(body: Humanoid, quats: Array, pelvis: Array, hands: ArrayLike) -> None:
-    """Lead the hands of poses of people who stand or walk, in place.
+    """Move the hands of standing or walking people to given positions, in place.
 
     Args:
-        body: Their body.
+        body: Body of the people.
         quats: Local rotations [T, 55, 4].
-        pelvis: Places of the pelvis in the agent root frame [T, 3].
-        hands: Four rows for each pose, [T, 4, 4]: the places of the left and the right palm in the agent root frame [m], each
-            with the share, 0 to 1, by which the arm is led there; then the places that the left and the right hand reach for,
-            each with the share of that posture of reaching in trunk and legs. The sum of the last two is at most 1.
+        pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
+        hands: Four rows for each pose, [T, 4, 4]: positions of the left and right palm in the agent root frame [m],
+            each with the share, 0 to 1, by which the arm moves there; then positions that the left and right hand reach
+            for, each with the share, 0 to 1, of the reaching posture in trunk and legs. The sum of the last two is at
+            most 1.
 
     Raises:
-        InputError: There are not as many finite numbers, or a share is below 0 or a sum of shares above 1.
+        InputError: the shape is wrong, a number is not finite, a share is below 0, or a sum of shares is above 1.
     """
     hands = np.asarray(hands, np.float64)
     fits = hands.shape == (len(quats), 4, 4) and np.isfinite(hands).all() and (hands[..., 3] >= 0).all()
@@ -192,17 +194,17 @@ def lead_wrists(
     twist_deg: float,
     wrist_deg: float = 0.0,
 ) -> None:
-    """Lead the wrists of poses [T] to places, in place; those out of reach are approached.
+    """Move the wrists of poses [T] to target positions, in place, as far as the arms reach.
 
     Args:
-        body: Their body.
+        body: Body of the people.
         quats: Local rotations [T, 55, 4].
-        pelvis: Places of the pelvis in the agent root frame [T, 3].
-        wrists: Places of the left and the right wrist in that frame [T, 2, 3] [m].
-        share: Shares, 0 to 1, by which the arms are led there [T].
+        pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
+        wrists: Target positions of the left and the right wrist in the agent root frame [T, 2, 3] [m].
+        share: Shares, 0 (unchanged) to 1 (at the target), by which the arms move [T].
         pole: Direction of the elbows: ahead, up and outwards.
-        twist_deg: Twist of the forearm and again of the wrist, which turns the palm down.
-        wrist_deg: Extension of the wrist.
+        twist_deg: Twist of the forearm, and the same twist of the wrist [deg], which turns the palm down.
+        wrist_deg: Extension of the wrist [deg].
     """
     hands = np.concatenate([wrists, np.broadcast_to(share[:, None, None], (*wrists.shape[:2], 1))], 2)
     _lead(body, quats, pelvis, hands, 0.0, np.array(pole), *np.radians([twist_deg, wrist_deg]).tolist(), 0.0)

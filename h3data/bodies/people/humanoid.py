@@ -1,6 +1,6 @@
 """People: a skinned mesh on the 55-joint skeleton, with gait and collision shapes.
 
-`h3data.bodies.people.humanoid_file` reads them.
+`h3data.bodies.people.humanoid_file` reads people from files.
 
 Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and
 lies on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation
@@ -46,17 +46,18 @@ if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
 
 BONE_BOX_M, BONE_PAD_M, BONE_PAD_PART = 0.02, 0.02, 1 / 25
-"""Width of Habitat's collision boxes, and the distance by which they end before the joints (spec/habitat.md 1.6)."""
+"""Width of Habitat's collision boxes along bones [m], and the distance from joints at which the boxes end [m]
+(spec/habitat.md 1.6)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkinnedMesh:
-    """A rest mesh with its skin weights."""
+    """Mesh in the rest pose with its skin weights."""
 
     mesh: Mesh
     """Rest pose (arms in A-pose) in the body frame; colours and normals per vertex."""
     joints: NDArray[np.uint8]
-    """Joints of the four weights, shape [V, 4]."""
+    """Indices of the four joints that move each vertex, shape [V, 4]."""
     weights: NDArray[np.float32]
     """Weights of the joints that move each vertex, which sum to 1, shape [V, 4]."""
     regions: NDArray[np.uint8]
@@ -72,7 +73,7 @@ class SkinnedMesh:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyCapsule:
-    """A collision capsule that moves with one joint."""
+    """Collision capsule that moves with one joint."""
 
     name: str
     joint: int
@@ -85,17 +86,18 @@ class BodyCapsule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Humanoid:
-    """A person that can be posed, rendered and tested for collisions. Immutable: share it freely."""
+    """Body of a person that can be posed, rendered and tested for collisions; it is immutable and can be shared."""
 
     name: str
     height_m: float
-    """Stature [m], hair and soles not counted."""
+    """Height of the person [m], without hair and soles."""
     joint_names: tuple[str, ...] = JOINT_NAMES
     parents: tuple[int, ...] = PARENTS
     joint_offsets: Array
     """Position of each joint in the frame of its parent, shape [55, 3] [m]; for the pelvis, its height in the T-pose."""
     inverse_bind: Array
-    """Body frame of the rest mesh to joint frames, shape [55, 4, 4]; holds the step from T-pose to A-pose."""
+    """Transforms from the body frame of the rest mesh to the joint frames, shape [55, 4, 4]; they include the change
+    from T-pose to A-pose."""
     full: SkinnedMesh
     lod: SkinnedMesh
     """Mesh of about 3,000 vertices, the default for cameras that are not close (surface error below 5 mm)."""
@@ -106,27 +108,30 @@ class Humanoid:
     outfit: str = ""
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
-    """The shape parameters from which the body was baked."""
+    """Shape parameters from which the body was generated."""
     camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
-    """Names of the cameras that the body carries: its view, between the eyes in the direction of the head."""
+    """Names of the cameras of the body: one between the eyes that looks in the direction of the head."""
     climbs_stairs: ClassVar[bool] = True
-    """True: all people climb stairs, which not all robots do."""
+    """Ability to climb stairs: always True for people, unlike for robots."""
     climbing_length_m: ClassVar[float] = 0.0
-    """Length over which the body pitches on stairs, as robots do [m]: 0, as people stay upright."""
+    """Length over which the body pitches on stairs [m]: always 0, because people, unlike robots, stay upright."""
 
     @property
     def mesh(self) -> Mesh:
-        """Full mesh in the rest pose, body frame."""
+        """Full mesh in the rest pose, in the body frame [m]."""
         return self.full.mesh
 
     @property
     def lod_mesh(self) -> Mesh:
-        """Mesh of few vertices in the rest pose, body frame."""
+        """Simplified mesh in the rest pose, in the body frame [m]."""
         return self.lod.mesh
 
     @cached_property
     def clips(self) -> tuple[Clip, ...]:
-        """Clips: standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
+        """Motion clips of the body: standing first, then the walks, the jog and the turns on the spot.
+
+        They are computed at first use (30 ms).
+        """
         return make_clips(self.gaits)
 
     @property
@@ -140,7 +145,7 @@ class Humanoid:
 
     @cached_property
     def gait_tables(self) -> GaitTables:
-        """Tables for `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
+        """Gait tables for `h3data.bodies.people.planted_gait`, computed at first use (40 ms)."""
         from h3data.bodies.people.planted_gait import gait_tables
 
         return gait_tables(self.gaits)
@@ -153,7 +158,7 @@ class Humanoid:
         return joints, start, end, np.array([c.radius for c in self.capsules])
 
     def clip_for_speed(self, speed_mps: float) -> int:
-        """Return the motion id of the clip that fits ``speed_mps``; 0 (standing) when there is hardly any."""
+        """Return the motion id of the clip that fits ``speed_mps``; 0 (standing) at speeds near 0."""
         return nearest_clip(self.clips, speed_mps)
 
     def clip_pose(
@@ -165,11 +170,12 @@ class Humanoid:
         arms: ArrayLike | None = None,
         ground: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+        """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] of clips in the agent root frame.
 
-        ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is
-        the clip. ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.people.arms`).
-        ``ground`` [T, 2]: height of the floor under the left and the right foot, relative to the root [m].
+        `h3data.bodies.people.clips.sample_clips` describes ``motion_id``, ``phase`` and ``blend`` [T]: a blend of 0 is
+        the standing pose, 1 the clip. ``arms`` [T, 2] is the degree, 0 to 1, to which the left and right arm are folded
+        (`h3data.bodies.people.arms`). ``ground`` [T, 2] is the height of the floor under the left and right foot
+        relative to the root [m].
         """
         quats, pelvis = sample_clips(self._clip_table, motion_id, phase, blend, ground)
         if arms is not None:
@@ -179,10 +185,14 @@ class Humanoid:
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return the same as `clip_pose`, exactly instead of from a table, at any speed [T] [m/s]: above 2 m/s, a jog.
+        """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] for walking at speeds [T] [m/s].
 
-        The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
-        the change of the stride; change it between steps to avoid that.
+        Above 2 m/s, the pose is of jogging.
+
+        Unlike `clip_pose`, the pose is computed exactly instead of read from a table.
+
+        The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps
+        by the change of the stride; change it between steps to avoid that.
         """
         return pose_at_speed(self.gaits, speed_mps, phase, blend, ground)
 
@@ -193,7 +203,7 @@ class Humanoid:
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
         """Return world matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and the result of `clip_pose`.
 
-        Of ``quats`` of the first J joints alone, the result is [T, J, 4, 4].
+        If ``quats`` has only the first J joints, the result is [T, J, 4, 4].
         """
         from h3data.bodies.people.kernels.clips import joint_frames
 
@@ -218,7 +228,7 @@ class Humanoid:
         return frames
 
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
-        """Return the world vertices, float32 [..., V, 3], for joint frames [..., 55, 4, 4].
+        """Return the world positions of the vertices, float32 [..., V, 3] [m], for joint frames [..., 55, 4, 4].
 
         Leading axes are frames, worlds, or both. The computation is one sparse matrix product.
         """
@@ -229,7 +239,7 @@ class Humanoid:
         return apply_skin(skin.points, matrices)
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-        """Yield slices of the frames [T, 55, 4, 4] and their vertices [t, V, 3]: `skin` for long recordings."""
+        """Yield slices of the joint frames [T, 55, 4, 4] with the skinned vertices [t, V, 3] [m], for long recordings."""
         return skin_chunks((self.lod if lod else self.full).skin.points, joint_matrices @ self.inverse_bind)
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
@@ -248,7 +258,7 @@ class Humanoid:
     def bone_boxes_world(self, joint_matrices: Array) -> tuple[Array, Array]:
         """Return Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
 
-        A bone leads from a joint to each of its children; head, toes and fingertips have none of their own. Boxes are 2 cm
+        A bone leads from a joint to each of its children; head, toes and fingertips have no bone. Boxes are 2 cm
         thick and end before both joints, by 2 cm or 1/25 of the bone, whichever is less.
 
         Returns centres with rotations, [T, K, 4, 4] with y along the bone, and full sizes [K, 3] [m].
@@ -278,7 +288,7 @@ class Humanoid:
 
     @cached_property
     def bounds(self) -> tuple[SkinBounds, SkinBounds]:
-        """Spheres that bound the full mesh and the light mesh in any pose, built at first use."""
+        """Spheres that bound the full mesh and the simplified mesh in any pose, built at first use."""
         full, light = (
             build_skin_bounds(part.mesh.vertices, part.joints, part.weights, self.inverse_bind)
             for part in (self.full, self.lod)
@@ -286,7 +296,7 @@ class Humanoid:
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
-        """Return whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        """Return whether the simplified mesh is accurate enough for a camera of a focal length [px] at a distance [m]."""
         # the height in the picture, focal * height / distance, without dividing by a distance of 0
         # 220.0: height in a picture [px] up to which a person is drawn with the light mesh, whose error (4
         # mm) is then below half a pixel

@@ -1,8 +1,8 @@
-"""Reading of humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
+"""Reader of humanoids from npz files that hold integers as planes of bytes, which compress well, and no pickles.
 
-The built-in bodies share a base (``common.npz``) and a wardrobe (``wardrobe.npz``: skin, clothes and hair as patches over the
-base); a body's own file holds the places of its base as differences from the mean, its skeleton, look, collision capsules and
-gait. A file may also hold meshes of its own instead of a base.
+The built-in bodies share a base (``common.npz``) and a wardrobe (``wardrobe.npz``: skin, clothes and hair as patches
+over the base); a body's own file holds its base vertices as differences from the mean, its skeleton, look,
+collision capsules and gait. A file may also hold meshes of its own instead of a base.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 
 def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
-    """Return all arrays of an npz file whose ``format`` is ``expected``; never unpickles."""
+    """Return all arrays of an npz file whose ``format`` is ``expected``, without unpickling."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
@@ -150,13 +150,13 @@ def _capsule_places(data: Arrays) -> dict[str, Any]:
 
 
 def to_planes(vertices: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Return vertices [V, 3] as planes of low and high bytes, uint8 [2, 3, V]: they compress by a third better."""
+    """Convert vertices [V, 3] to planes of low and high bytes, uint8 [2, 3, V], which compress by a third better."""
     flat = np.ascontiguousarray(vertices.astype("<i2").T)
     return np.ascontiguousarray(flat.view(np.uint8).reshape(3, -1, 2).transpose(2, 0, 1))
 
 
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """Return the reverse of `to_planes`."""
+    """Convert planes of bytes, uint8 [2, 3, V], back to vertices [V, 3]: the inverse of `to_planes`."""
     low, high = planes.astype(np.uint16)
     # the cast to int16 gives back the negative ones, which are stored in two's complement
     return np.ascontiguousarray((low | high << 8).astype(np.int16).T)
@@ -214,7 +214,7 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
 
 
 def legs_from_offsets(offsets: Array, feet: Array, ankle_height: float) -> Legs:
-    """Return the measures of legs from ``joint_offsets`` [55, 3] and the ``feet`` of `Legs` [2, 3, 3] [m]."""
+    """Return the leg measures of a body from ``joint_offsets`` [55, 3] and the ``feet`` of `Legs` [2, 3, 3] [m]."""
     return Legs(
         hips=offsets[[JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]],
         thigh=float(np.linalg.norm(offsets[JOINT_INDEX["left_knee"]])),

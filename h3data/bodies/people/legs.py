@@ -1,6 +1,6 @@
-"""Legs of people: from the places of the feet, hips and knees follow by closed-form inverse kinematics.
+"""Legs of people, whose hips and knees follow from the positions of the feet by closed-form inverse kinematics.
 
-In the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
+Positions are in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 X, Y, Z = np.eye(3)
 SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
-"""Name, sign of x, and phase of the heel strike of each leg."""
+"""Name, sign of x, and phase of the heel strike of each leg, left and right."""
 LEG_MAX = 0.9985
 """Largest stretch of a leg, as a share of its length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Legs:
-    """Measures of one body's legs. Rows: left, right."""
+    """Measures of one body's legs, with rows for left and right."""
 
     hips: Array
     """Positions of the hip joints relative to the pelvis joint, shape [2, 3] [m]."""
@@ -68,10 +68,10 @@ class Legs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posture:
-    """Input from which a pose is solved: everything except the legs, and the places of the feet."""
+    """Input from which a pose is solved: everything except the legs, together with the positions of the feet."""
 
     quats: Array
-    """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""
+    """Local rotations xyzw, shape [T, 55, 4]; rotations of the legs are solved."""
     pelvis: Array
     """Position of the pelvis joint, shape [T, 3] [m]."""
     ankle: Array
@@ -87,12 +87,12 @@ def rotation(axis: Array, angle_deg: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedLegs:
-    """Angles of solved legs, which the fit of a gait evaluates."""
+    """Rotations and angles of solved legs, by which the fit of a gait is evaluated."""
 
     quats: Array
     """All local rotations, shape [T, 55, 4]."""
     thigh_deg: Array
-    """Angle of each thigh to the vertical, forward positive, shape [T, 2]."""
+    """Angle of each thigh to the vertical, forward positive, shape [T, 2] [deg]."""
     knee_deg: Array
     """Flexion of each knee [deg], shape [T, 2]."""
     overreach: Array
@@ -100,7 +100,9 @@ class SolvedLegs:
 
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
-    """Solve two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
+    """Solve two-bone legs from the hips to the ankles in closed form.
+
+    Knees point in the direction of the feet and slightly outwards."""
     from h3data.bodies.people.kernels.legs import write_all_legs
 
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))
@@ -114,7 +116,7 @@ def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
 
 
 def within_reach(legs: Legs, posture: Posture) -> Posture:
-    """Return the pelvis lowered where a foot would be out of reach."""
+    """Return pelvis positions [T, 3] [m] that are lowered where a foot would be out of reach."""
     from h3data.bodies.people.kernels.legs import sink_pelvis
 
     pelvis = posture.pelvis.copy()

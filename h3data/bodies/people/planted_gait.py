@@ -1,7 +1,7 @@
-"""Walking with planted feet along any track of the root, by `h3data.bodies.people.kernels.planted` with a body's own gaits.
+"""Walking with planted feet along any track of the root, with the gaits of a body (`h3data.bodies.people.kernels.planted`).
 
-`planted_states` goes through a track once; any of its moments can then be posed alone (`pose_planted`). A track is all that
-is needed, so recordings of people hold no more than their roots.
+`planted_states` processes a track once. Any row of it can then be posed alone (`pose_planted`). As the track determines
+the motion, recordings of people store only their roots.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ def on_stairs(tables: GaitTables, heights: Array) -> GaitTables:
 def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:
     """Return the states [T, K] of a person whose root is at ``base`` [T, 7], one step after the other.
 
-    ``time_s`` [T] is when; by default rows are 1/30 s apart. After rows that are not finite (the person is absent) and jumps
-    of the root they stand.
+    ``time_s`` [T] is the time of each row [s]; by default rows are 1/30 s apart. The person stands after rows that are
+    not finite (absence) and after jumps of the root.
     """
     from h3data.bodies.people.kernels.planted import STATE_COLUMNS, run_gaits
 
@@ -127,9 +127,9 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
 
 
 def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT) -> tuple[Array, Array]:
-    """Return the local rotations [T, joints, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K].
+    """Return local rotations [T, joints, 4] and pelvis positions [T, 3] [m] in the agent root frame for states [T, K].
 
-    The first joints alone take less time: 16 are legs, trunk and head, without which the kernel cannot do.
+    Fewer joints take less time. At least the first 16 (legs, trunk and head) are computed.
     """
     from h3data.bodies.people.kernels.planted import pose_gaits
 
@@ -139,7 +139,7 @@ def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT
 
 
 class PlantedWalk:
-    """Planted feet of a person whose root moves step by step. They stand at first."""
+    """Planted feet of a person whose root moves step by step, and who stands at first."""
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """``base`` [7] is the agent root."""
@@ -158,7 +158,7 @@ class PlantedWalk:
 
     @property
     def stands(self) -> bool:
-        """Return whether the feet are at rest where a standing person's are."""
+        """Return whether the feet are at rest in the standing position."""
         from h3data.bodies.people.kernels.planted import one_stands
 
         return bool(_CALL(one_stands, self.tables, self.state))
@@ -172,13 +172,13 @@ class PlantedWalk:
 
     @property
     def speed_mps(self) -> float:
-        """Speed of the gait: the root's, but it changes by no more than 9 m/s^2."""
+        """Speed of the gait [m/s], which follows the speed of the root with at most 9 m/s^2."""
         from h3data.bodies.people.kernels.planted import SPEED
 
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Return whether the root [7] is the one after the last step."""
+        """Return whether the root [7] is the root after the last step."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)
@@ -192,14 +192,14 @@ class PlantedWalk:
         _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
-        """Make the `step` to a root [7] whose heading [rad] is known, and return the `pose` there."""
+        """Advance by 1/30 s to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
         _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
-        """Return the local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
+        """Return the local rotations [55, 4] and the position of the pelvis [3] [m] in the agent root frame."""
         from h3data.bodies.people.kernels.planted import pose_gaits
 
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
@@ -209,7 +209,8 @@ class PlantedWalk:
     def plant(self, quats: Array, pelvis: Array) -> None:
         """Move the legs of any pose, in place, so that its feet are where the walk has planted them.
 
-        The pose is [55, 4] and [3] in the agent root frame. The pelvis is lowered where a leg would be too short.
+        The pose has local rotations [55, 4] and the pelvis position [3] [m] in the agent root frame. The pelvis is
+        lowered where a leg would be too short.
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 

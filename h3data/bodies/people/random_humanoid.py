@@ -1,11 +1,12 @@
-"""People generated from a number, with a shape of their own within the space of all built-in bodies, clothes, skin and hair.
+"""People that are generated from a seed, with random shapes between those of the built-in bodies, clothes, skin and hair.
 
-``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person as long
-as the built-in bodies and ``shape_space.toml`` stay as they are. All built-in bodies have one base and arrays that may be
-combined linearly; legs are solved for their measures, so feet stay planted on any combination.
+``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person
+as long as the built-in bodies and ``shape_space.toml`` stay as they are. All built-in bodies have one base and arrays
+that may be combined linearly; legs are solved for the measures of each body, so feet stay planted on all of them.
 
-The space has the mean of all bodies and `DIRECTIONS` principal directions of shape, as SMPL-X has its shape parameters; a
-person has a standard normal number for each. Shapes that are not those of an adult, or far from all bodies, are drawn again.
+The space has the mean of all bodies and `DIRECTIONS` principal directions of shape, as SMPL-X has its shape parameters;
+a person has a standard normal number for each. Shapes that are not adult, or far from all built-in bodies, are sampled
+again.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def random_arrays(name: str, read: Callable[[str], Mapping[str, NDArray[Any]]], 
     """Return the arrays of a baked file for ``random:SEED``.
 
     Args:
-        name: The name.
-        read: Returns the arrays of the body with a name; called for all built-in ones.
+        name: The name ``random:SEED``.
+        read: Function that returns the arrays of the body with a name; it is called for all built-in bodies.
         planes: The functions that store vertices as planes of bytes and read them: ``(to_planes, from_planes)``.
     """
     # named, because NumPy may change its default generator, and seeds have to keep their meaning

@@ -1,8 +1,9 @@
-"""Reaching: the place and the posture of a person in which a hand is at a point.
+"""Reaching: the position and posture of a person in which a hand is at a given point.
 
-One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and, mirrored,
-both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where they are. Every
-answer is checked: lengths, joint limits, balance, and that forearm and hand stay out of the body (research/humanoids.md 3).
+One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and,
+mirrored, both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where
+they are. Every answer is checked: lengths, joint limits, balance, and that forearm and hand stay out of the body
+(research/humanoids.md 3).
 
 Points and poses are in the agent root frame: x forward, y up, z right, the origin on the floor.
 """
@@ -40,9 +41,9 @@ HANDS: tuple[Hand, Hand] = ("right", "left")
 STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
 """Results of reaching, in the order of the kernel's codes."""
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
-"""Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
+"""Name and format of the table's file, which is in a separate folder so that it is not taken for a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-"""Rotation from the kernel's body frame (+Z forward, +X left) to the agent root frame."""
+"""Rotation from the kernel's body frame (+Z forward, +X left) to the agent root frame, as a quaternion xyzw."""
 ARM_RADIUS, INSET = 0.026, 0.02
 """Radius of forearm and hand for the clearance, as a share of the shoulder's height; share of the path inside the valid volume
 by which advice keeps away from its border."""
@@ -52,7 +53,7 @@ of the palm."""
 
 
 class BaseMotion(NamedTuple):
-    """Motion of the agent root, in the frame that it has before."""
+    """Motion of the agent root, in its frame before the motion."""
 
     forward_m: float
     right_m: float
@@ -60,7 +61,7 @@ class BaseMotion(NamedTuple):
     """Turn to the left, after the move [rad]."""
 
     def of(self, base_pose: ArrayLike) -> Array:
-        """Return the pose7 of a root at ``base_pose`` after this move."""
+        """Return the pose7 of a root after this motion, which starts at ``base_pose``."""
         step = ground_pose(np.array([self.forward_m, self.right_m]), np.array(self.turn_rad))
         return pose_multiply(np.asarray(base_pose, np.float64), step)
 
@@ -70,17 +71,18 @@ class ReachResult:
     """Result of reaching for one point."""
 
     status: ReachStatus
-    """Result of the search: ``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside,
-    but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets there only by
-    falling over, bending too far or passing through the body."""
+    """Result of the search: ``reached``; ``outside_box``: outside the box for which postures were solved; ``too_far``:
+    inside the box, but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets
+    there only by falling over, bending too far or passing through the body."""
     quats: Array
-    """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
+    """Local joint rotations xyzw, shape [55, 4]."""
     pelvis: Array
-    """Position of the pelvis in the agent root frame, shape [3] [m]; that for `nearest_valid` if the target is not reached."""
+    """Position of the pelvis in the agent root frame, shape [3] [m]; if the target is not reached, for the posture at
+    ``nearest_valid``."""
     hand_error_m: float
     """Distance from the target to the palm in this pose [m]."""
     nearest_valid: Array
-    """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
+    """The target if it is reached, else a valid point near it in the agent root frame, to about 2 cm, shape [3] [m]."""
     base_motion: BaseMotion | None
     """Motion of the base after which the target is reached; zero when it is reached already, None when no motion helps (too
     high, below the floor)."""
@@ -95,9 +97,9 @@ class ReachPoses(NamedTuple):
     """Poses for many points, without advice."""
 
     quats: Array
-    """Rotations of the joints as quaternions, shape [T, 55, 4]."""
+    """Rotations of the joints as quaternions xyzw, shape [T, 55, 4]."""
     pelvis: Array
-    """Position of the pelvis, shape [T, 3] [m]."""
+    """Position of the pelvis in the agent root frame, shape [T, 3] [m]."""
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array
@@ -105,7 +107,7 @@ class ReachPoses(NamedTuple):
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
-    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or the reason for failure.
+    """Return the pose in which the palm of ``hand`` is at ``target`` [3] [m], or the reason for failure.
 
     Raises:
         InputError: the target is not three finite numbers, or there is no such hand.
@@ -143,16 +145,16 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
 def reach_poses(
     body: Humanoid, targets: ArrayLike, hand: Hand = "right", *, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0
 ) -> ReachPoses:
-    """Return poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; as near as possible if the status is not 0.
+    """Return poses with the palm at ``targets`` [T, 3] [m], or as near as possible where the status is not 0.
 
-    ``trunk`` and ``arm`` [T] (0 to 1) lead from the standing trunk and the elbow of the hanging arm to those of the solved
-    posture: at (0, 0) with the hand where it hangs, this is the standing pose.
+    ``trunk`` and ``arm`` [T] (0 to 1) interpolate from the standing trunk and the elbow of a hanging arm to the solved
+    posture. At (0, 0), with the target at the hanging hand, the result is the standing pose.
     """
     return reacher(body, hand).poses(_points(targets), trunk, arm)
 
 
 def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> Array:
-    """Return the world places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
+    """Return the world positions [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
     frames = joint_matrices[:, JOINT_INDEX[f"{hand}_wrist"]]
     return frames[:, :3, :3] @ grasp_point(body, hand) + frames[:, :3, 3]
 
@@ -188,7 +190,7 @@ class Table(NamedTuple):
 
 @lru_cache(maxsize=1)
 def reach_table() -> Table:
-    """Return the table that ships, read once."""
+    """Return the included table of postures, which is read once."""
     path = builtin_path(TABLE_FILE)
     data = read_arrays(path, TABLE_FORMAT)
     # whole numbers in the file, each parameter with a unit of its own
@@ -218,7 +220,7 @@ class ReachSolver:
         """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
-        """Return the result of `reach_poses` for the body of this solver."""
+        """Return poses with the palm at ``targets`` [T, 3] [m], as `reach_poses` does, for the body of this solver."""
         count = len(targets)
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)
@@ -242,7 +244,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Return at which of the points [T, 3] the hand would arrive."""
+        """Return which of the points [T, 3] [m] the hand reaches, bool [T]."""
         return self.poses(targets).status == kernel.REACHED
 
     @property
@@ -261,7 +263,7 @@ class ReachSolver:
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
-        """Return a valid point [3] near ``target``: from the nearest valid table points towards it, as far as all are valid."""
+        """Return a valid point [3] [m] near ``target``, found on lines from the nearest valid table points towards it."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
         # several, because the straight line from the nearest one may leave the valid volume at once
         starts = self.valid_points[np.argsort(gap)[: self.tried]]
@@ -269,9 +271,9 @@ class ReachSolver:
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
     def base_motion(self, target: Array) -> BaseMotion | None:
-        """Return the smallest found move of the base from which ``target`` [3] is reached.
+        """Return the smallest motion of the base found after which ``target`` [3] [m] is reached.
 
-        The move turns the body to the target when it is not in front.
+        The motion turns the body to the target if the target is not in front of it.
         """
         forward, height, right = target
         if abs(right) < forward or np.hypot(forward, right) < 0.3 * self.body.scale:

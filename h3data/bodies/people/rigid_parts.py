@@ -1,6 +1,6 @@
 """People as rigid parts that move with their joints: their collision capsules, or bones.
 
-Habitat's "no skinning" shows people as bones; capsules are what contact is decided by (spec/habitat.md 1.6, 3.1)."""
+Habitat's "no skinning" shows people as bones. Contact is determined from the capsules (spec/habitat.md 1.6, 3.1)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RigidPart(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rigid_parts(body: Humanoid, style: PeopleStyle) -> tuple[RigidPart, ...]:
-    """Return the parts of a person; none for ``skin``."""
+    """Return the rigid parts of a person in a style; the style ``skin`` has none."""
     if style == "capsules":
         return tuple(
             RigidPart(c.name, c.joint, capsule_mesh(c.start, c.end, c.radius, color=CAPSULE_COLOR))

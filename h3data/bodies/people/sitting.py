@@ -1,11 +1,12 @@
-"""Sitting down on a seat of any height: the soles stay on the floor, and the seat carries the body.
+"""Sitting and lying down on seats of any height, with the soles on the floor and the body supported by the seat.
 
-The pose on the seat follows from contact alone. The shanks stand, the skin of the hips touches the seat, and the hands lie on
-the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path between standing and
-sitting the hips go back before they go down, and the trunk leans forward meanwhile, which keeps the weight over the feet.
+The pose on the seat follows from contact alone. The shanks are upright, the skin of the hips touches the seat, and the
+hands lie on the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path
+between standing and sitting the hips go back before they go down, and the trunk leans forward meanwhile, which keeps
+the weight over the feet.
 
-Who lies down draws the knees up until the feet are over the surface, turns on the hips, stretches the legs and lies back. Hips,
-upper back, head and calves of somebody who lies touch the surface.
+To lie down, a person draws the knees up until the feet are over the surface, turns on the hips, stretches the legs and
+leans back. Hips, upper back, head and calves of a lying person touch the surface.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ if TYPE_CHECKING:
     from h3data.bodies.people.humanoid import Humanoid
 
 SINK_M = 0.005
-"""Depth by which a seat gives way under the hips; all other skin is as deep in it at most."""
+"""Depth by which a seat yields under the hips [m], and the largest depth of all other skin in it."""
 LEAN_DEG, LEAN_EARLY = 44.0, 0.8
-"""Greatest lean of the trunk between standing and sitting, and the exponent that moves it towards standing."""
+"""Largest lean of the trunk between standing and sitting, and the exponent that shifts it in time towards standing."""
 BACK_FIRST, DOWN_LATE = 1.7, 1.2
-"""Exponents by which the hips go back before they go down."""
+"""Exponents of the path of the hips, which move back before they move down."""
 HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
-"""Place of a wrist along the thigh, as a share, above its axis, and outwards."""
+"""Position of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
 PATH_SINK_M, BUTTOCKS_M = 0.012, 0.03
@@ -54,11 +55,11 @@ does not carry: thighs that slope down would lift the body."""
 STEEPEST = 0.75
 """Greatest slope of the thighs: height difference of hips and knees as a share of the thigh's length."""
 ARMS_BY, EARLY = 0.6, 0.05
-"""Share of the path at which the hands are on the thighs, because hanging ones would go through the seat; share over which a
-standing person's own pose is blended into the path."""
+"""Share of the path at which the hands are on the thighs, because hanging hands would pass through the seat; share over
+which a standing person's own pose is blended into the path."""
 TABLE = 61
-"""Number of poses between standing and sitting that are computed for one seat, and the same number up to lying; others
-are interpolated."""
+"""Number of poses between standing and sitting that are computed for one seat, and between sitting and lying; other
+poses are interpolated."""
 TUCKED, TURNED, STRETCHED, RECLINES = 1.34, 1.64, 1.86, 1.72
 """Shares of the path, from 1 (sitting) to 2 (lying), at which the knees are drawn up, the person has turned, the legs are
 stretched, and the trunk begins to lie back."""
@@ -72,28 +73,29 @@ LYING_PARTS = (
     ("left_knee", "right_knee", "left_ankle", "right_ankle"),
 )
 BELLY, LYING_ELBOWS = (-0.055, 0.07, 0.035), (-0.2, -0.25, 1.0)
-"""Places of the wrists of somebody who lies from the pelvis, in body heights, and direction of the elbows: ahead, up and
-outwards."""
+"""Positions of the wrists of a lying person relative to the pelvis, in body heights, and the direction of the elbows:
+ahead, up and outwards."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sitting:
-    """Motion of one body that sits down on a seat of one height. The agent root stays where the person stands."""
+    """Motion of one body that sits down on a seat of one height, while its agent root stays at the standing position."""
 
     body: Humanoid
     seat_m: float
     """Height of the seat above the floor [m]."""
     edge_m: float
-    """Place of the seat's front edge ahead of the agent root [m]: negative, as the person faces away from the seat."""
+    """Position of the seat's front edge ahead of the agent root [m]; it is negative because the person faces away from
+    the seat."""
     back_m: float
-    """Rearmost point of the seated body ahead of the agent root [m]."""
+    """Position of the rearmost point of the seated body ahead of the agent root [m], which is negative."""
     seated: tuple[Array, Array]
-    """Rotations [55, 4] and pelvis [3] on the seat, in the body frame."""
+    """Rotations [55, 4] and pelvis position [3] [m] on the seat, in the body frame."""
 
     def pose(self, share: ArrayLike) -> tuple[Array, Array]:
-        """Return the local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+        """Return local rotations [T, 55, 4] and pelvis positions [T, 3] [m] of sitting down, in the agent root frame.
 
-        ``share`` [T] leads from standing (0) to sitting (1).
+        ``share`` [T] is the progress from standing (0) to sitting (1).
         """
         share = np.atleast_1d(np.asarray(share, np.float64))
         stand = stand_posture(self.body.gaits.legs, len(share))
@@ -181,19 +183,19 @@ class Sitting:
         return quats
 
     def fits(self, depth_m: float) -> bool:
-        """Return whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
+        """Return whether the hips are over a seat of this depth [m] and the back is in front of the seat's backrest or wall."""
         return self.edge_m - self.back_m <= depth_m + SINK_M
 
 
 def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) -> None:
-    """Set poses of standing people down on seats, in place.
+    """Change poses of standing people to sitting or lying on seats, in place.
 
     Args:
-        body: Their body.
+        body: Body of the people.
         quats: Local rotations [T, 55, 4].
-        pelvis: Places of the pelvis in the agent root frame [T, 3].
-        seats: Height of the seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying (2) on
-            it, [T, 2].
+        pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
+        seats: Height of the seat above the floor [m], and share of the path from standing (0) to sitting (1) and lying
+            (2) on it, [T, 2].
 
     Raises:
         InputError: there are not two finite numbers for each pose, or a seat does not fit the legs of this body.
@@ -224,7 +226,9 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
 
 @lru_cache(maxsize=256)
 def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
-    """Return the motion by which a body sits down on a seat at a height above the floor [m]; about 10 ms, cached.
+    """Return the motion by which a body sits down on a seat at a height above the floor [m].
+
+    Computing it takes about 10 ms, and it is cached.
 
     Raises:
         InputError: the seat is too high or too low for the legs of this body.

@@ -46,7 +46,7 @@ _ROWS = (
     ),
 )
 JOINT_NAMES: tuple[str, ...] = tuple(name for name, _ in _ROWS)
-"""SMPL-X names, parents before children."""
+"""SMPL-X names of the joints, parents before children."""
 JOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARENTS: tuple[int, ...] = tuple(JOINT_INDEX[parent] if parent else -1 for _, parent in _ROWS)
 JOINT_COUNT = len(JOINT_NAMES)

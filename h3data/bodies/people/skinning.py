@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 FEW_FRAMES = 8
-"""Frames up to which `apply_skin_frames` is faster than `apply_skin`: 0.13 and 0.73 ms for one, equal for about ten."""
+"""Number of frames up to which `apply_skin_frames` is faster than `apply_skin` (one frame: 0.13 ms instead of 0.73
+ms)."""
 CHUNK_FRAMES = 32
 """Number of frames per product: the palette and the result stay in the cache (the best of 1, 8, 32, 64, 256)."""
 
@@ -63,11 +64,11 @@ class FrameOperator(NamedTuple):
     """
 
     rows: NDArray[np.int32]
-    """Row of the operator for each place in this order, shape [V]."""
+    """Row of the operator for each position in the grouped order, shape [V]."""
     row_starts: NDArray[np.int32]
-    """First place of each group, then V, shape [G + 1]."""
+    """First position of each group, then V, shape [G + 1]."""
     columns: NDArray[np.int32]
-    """Columns of all groups, one after another."""
+    """Columns of all groups in sequence."""
     column_starts: NDArray[np.int32]
     """First of each group's columns, then their number, shape [G + 1]."""
     values: NDArray[np.float32]
@@ -165,8 +166,8 @@ def _operator(
 def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
     """Return skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4, 4].
 
-    The leading axes are frames, or worlds and frames; all go through the same product, a chunk at a time. The memory is
-    vertex-major within a chunk of one (`CHUNK_FRAMES`) and else frame-major.
+    The leading axes are frames, or worlds and frames; the product is computed in chunks of frames. The memory is
+    vertex-major if one chunk (`CHUNK_FRAMES`) holds all frames, else frame-major.
     """
     lead, joint_count = matrices.shape[:-3], matrices.shape[-3]
     flat = matrices.reshape(-1, *matrices.shape[-3:])
@@ -182,7 +183,7 @@ def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
 def apply_skin_frames(operator: FrameOperator, matrices: Array) -> NDArray[np.float32]:
     """Return the skinned points, float32 [T, V, 3], for bind-to-world ``matrices`` [T, J, 4, 4], frame by frame.
 
-    They equal those of `apply_skin` to the bit; this is faster for up to `FEW_FRAMES` frames.
+    The points equal those of `apply_skin` bit for bit, and are computed faster for up to `FEW_FRAMES` frames.
     """
     from h3data.bodies.people.kernels.skin import frame_product
 

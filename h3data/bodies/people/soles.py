@@ -12,7 +12,7 @@ from h3data.geometry import Array
 SIDES = ("left", "right")
 LEG_JOINTS = np.array([[JOINT_INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle", "foot")] for s in SIDES])
 HIP, KNEE, ANKLE, TOE = range(4)
-"""Columns of `LEG_JOINTS` by joint of a leg."""
+"""Columns of `LEG_JOINTS` for each joint of a leg."""
 
 
 def sole_points(body: Humanoid, frames: Array) -> Array:
@@ -30,6 +30,6 @@ def sole_points(body: Humanoid, frames: Array) -> Array:
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of every run of True."""
+    """Return start and end (exclusive) of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

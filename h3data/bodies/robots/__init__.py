@@ -1,1 +1,1 @@
-"""Robots: URDF, settings, kinematics, trot."""
+"""Robots: their URDF files, settings, kinematics and trot."""

@@ -1,4 +1,4 @@
-"""Room that a robot takes up: bounds of its collision shapes, discs that cover it on the floor."""
+"""Space that a robot occupies: bounds of its collision shapes, and discs that cover it on the floor."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from h3data.scene.shape_bounds import shape_bounds
 
 
 def resting_bounds(robot: Robot) -> NDArray[np.float64]:
-    """Return lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
+    """Return the lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
     frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
     bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
     return np.array(bounds).reshape(-1, 2, 3)
 
 
 def resting_hull(robot: Robot) -> Array:
-    """Return places along x of discs of the base's radius that cover the whole resting robot and its base discs [H] [m]."""
+    """Return positions along x [H] [m] of discs of the base's radius that cover the whole resting robot and its base discs."""
     bounds, radius = resting_bounds(robot), robot.base_radius_m
     back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
     # discs cover a radius beyond their places
@@ -34,5 +34,5 @@ def resting_hull(robot: Robot) -> Array:
 
 
 def row_radius(places: Array, points: Array) -> float:
-    """Return the least radius [m] of discs at places [D] along x that cover floor points ``(x, z)`` [N, 2]."""
+    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2] [m]."""
     return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

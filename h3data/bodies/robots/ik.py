@@ -2,8 +2,8 @@
 
 Damped least squares in the manner of Levenberg and Marquardt (Wampler 1986; Nakamura and Hanafusa 1986; Sugihara 2011):
 the damping shrinks while steps help and grows when they do not. A joint at a limit leaves the step as long as it pushes
-outwards. Where the start leads into a dead end, the search begins again from fixed pseudo-random postures, so the same
-question has the same answer, alone or in a batch.
+outwards. If the search stops far from the target, it is repeated from fixed pseudo-random postures, so the same target
+has the same solution, alone or in a batch.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class IkResult:
     joint_pos: NDArray[np.float64]
     """Positions of all joints of the robot, inside their limits, shape [*batch, J] [rad or m]."""
     position_error_m: NDArray[np.float64]
-    """Distance that is left to the target, shape [*batch]."""
+    """Remaining distance to the target, shape [*batch] [m]."""
     rotation_error_rad: NDArray[np.float64]
     """Angle between the wanted and the reached rotation, shape [*batch] [rad]; 0 where only a position was asked for."""
     reached: NDArray[np.bool_]
@@ -57,7 +57,8 @@ def solve_ik(
     Args:
         robot: The robot.
         link: Name of the link; its frame is URDF's.
-        target: Positions [*batch, 3] [m], or poses [*batch, 7], in the agent root frame; in the world with ``base_pose``.
+        target: Positions [*batch, 3] [m], or poses [*batch, 7], in the agent root frame; in the world with
+            ``base_pose``.
         q0: Initial angles, shape [*batch, J] or [J], clipped to the joint limits; None is the resting posture.
         offset: The point of the link that goes to the target, in its frame, shape [3] [m]: ``robot.hand_position``.
         base_pose: Agent roots in the world, shape [*batch, 7] or [7].
@@ -65,10 +66,10 @@ def solve_ik(
         tolerance_m: Position error [m] below which the target is reached.
         tolerance_rad: Orientation error [rad] below which the target is reached.
         iterations: Greatest number of steps from one start.
-        restarts: Number of times that the search may begin again elsewhere. 0 keeps the answer in the neighbourhood of ``q0``.
+        restarts: Largest number of repetitions from other postures. With 0 the solution stays near ``q0``.
 
     Returns:
-        The answer with what is left of the errors. An unreachable target gives the nearest that was found.
+        The solution with its remaining errors. For an unreachable target it is the nearest one found.
 
     Raises:
         InputError: wrong shapes, NaN, an unknown link, joints that do not move it, or spherical ones among them.

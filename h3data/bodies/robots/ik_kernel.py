@@ -15,7 +15,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
 PATIENCE, GIVE_UP = 4, 1e-3
 """Rule for giving up: `PATIENCE` steps each reduced the error by less than the share `GIVE_UP`."""
 FREE_RANGE = math.pi
-"""Greatest distance from 0 at which a joint without limits begins a new attempt."""
+"""Greatest distance from 0 at which a joint without limits starts a new attempt."""
 
 
 @kernel_part()
@@ -194,8 +194,8 @@ def solve_targets(
 ) -> None:
     """Improve joint positions ``q`` [N, J] so that ``point`` [3] of the last link of a chain meets ``targets`` [N, 4, 4].
 
-    The chain's arrays are as in `h3data.bodies.robots.kinematics.link_frames`, the joints ``free`` may move. ``errors`` [N, 2]
-    receives distance [m] and angle [rad] that are left.
+    The arrays of the chain are described in `h3data.bodies.robots.kinematics.link_frames`. Only the joints ``free``
+    move. ``errors`` [N, 2] receives the remaining distance [m] and angle [rad].
     """
     joints = q.shape[1]
     size = 6 if oriented else 3

@@ -1,4 +1,4 @@
-"""Forward kinematics of a tree of links: one compiled loop over time and links, and the same line by line in torch."""
+"""Forward kinematics of a tree of links: a compiled loop over time and links, and the same computation in torch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FIXED, TURNS, SLIDES, BALL = 0, 1, 2, 3
 
 
 class JointTree(NamedTuple):
-    """Links and their joints as arrays, parents first; the arguments of `link_frames`, where each is explained."""
+    """Links and their joints as arrays, parents first, which are the arguments of `link_frames` and described there."""
 
     parents: NDArray[np.int64]
     origins: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Robots: links, joints, appearance, shapes and cameras, and their poses (`h3data.bodies.load_robot` makes one).
+"""Robots: links, joints, appearance, shapes and cameras, and their poses (`h3data.bodies.load_robot` loads one).
 
 Link frames are URDF's. The agent root frame (x forward, y up, z right, on the floor) is turned into the URDF base frame
 (x forward, y left, z up) and lifted by ``base_height_m``.
@@ -33,7 +33,7 @@ class RobotLink:
     parent: int
     """Index of the parent link, -1 for the base; parents come first."""
     mesh: Mesh | None
-    """All visuals in the link frame."""
+    """Mesh of all visual elements in the link frame [m]."""
     shapes: tuple[Shape, ...]
     """Collision parts in the link frame."""
     inertial: Array
@@ -42,7 +42,10 @@ class RobotLink:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotCamera:
-    """A camera fixed to a link. It sees colour and depth at once: a pair of an RGB and a depth camera is one of these."""
+    """Camera that is fixed to a link and provides both colour and depth.
+
+    A pair of an RGB and a depth camera is one such camera.
+    """
 
     name: str
     link: int
@@ -74,7 +77,7 @@ class JointTargets(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A kinematic tree with appearance, shapes and cameras. Immutable: share it freely."""
+    """Kinematic tree of a robot with appearance, shapes and cameras. It is immutable and can be shared."""
 
     name: str
     file: Path
@@ -86,23 +89,23 @@ class Robot:
     rest: Array
     """Joint positions of the resting posture, shape [J] [rad or m]."""
     lower: Array
-    """Joint limits, shape [J]; infinite where there are none."""
+    """Lower joint limits, shape [J] [rad or m]; infinite where there are none."""
     upper: Array
     joint_links: NDArray[np.int64]
     """Link that each joint moves, shape [J]; links that follow a joint by mimic are left out."""
     base_height_m: float
     """Height of the URDF base frame above the floor, feet down in the resting posture."""
     body_height_m: float
-    """Height of the highest point that counts as the body's, for ``base_shapes`` [m]."""
+    """Height of the cylinders in ``base_shapes`` above the floor [m]."""
     base_discs: Array
-    """Places along x of the discs in which the base must stay free, shape [D] [m]."""
+    """Positions along x of the discs in which the base must stay free, shape [D] [m]."""
     base_profiles: dict[str, Array] = field(default_factory=dict)
     """Further sets of base discs, by name."""
     base_radius_m: float
-    """Radius of the base discs."""
+    """Radius of the base discs [m]."""
     hull_discs: Array
-    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: other agents avoid
-    these."""
+    """Positions along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: other agents
+    avoid these."""
     max_speed_mps: float | None = None
     """Speed limit of the base [m/s]; None for the limit of the task."""
     max_turn_rad_s: float | None = None
@@ -114,7 +117,7 @@ class Robot:
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
     """Forward, left and upward directions of the hand in the frame of that link, as columns [3, 3]."""
     reach_bearing: float | None = None
-    """Bearing at which the robot reaches for things [rad], to the left of its forward axis; None: not known."""
+    """Bearing at which the robot reaches for things [rad], to the left of its forward axis; None if it is not known."""
     legs: tuple[RobotLeg, ...] = ()
     climbs_stairs: bool = False
     """True if the robot walks up and down stairs; for other robots stairs are walls."""
@@ -137,7 +140,10 @@ class Robot:
 
     @cached_property
     def climbing_length_m(self) -> float:
-        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 for robots that do not climb."""
+        """Distance between front and hind feet, over which the base pitches on stairs [m].
+
+        It is 0 for robots that do not climb.
+        """
         if not self.climbs_stairs:
             return 0.0
         if not self.legs:
@@ -219,7 +225,7 @@ class Robot:
         return JointTree(parents, self.origins, self.kinds, self.axes, self.columns, self.gains, self.offsets)
 
     def link_index(self, name: str) -> int:
-        """Return the place of a link in ``links``."""
+        """Return the index of a link in ``links``."""
         if name not in self.link_names:
             raise InputError(
                 f"Robot {self.name} has no link {name!r}. It has: {', '.join(self.link_names[:40])}.",

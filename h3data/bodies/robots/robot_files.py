@@ -21,7 +21,7 @@ class RobotReader(NamedTuple):
     """A reader of robots in files other than URDF."""
 
     read: Callable[[Path], Urdf]
-    """Function that reads the robot of a file."""
+    """Function that reads a robot from a file."""
     files: Callable[[Path], Sequence[Path]]
     """Function that returns all files that make up the robot, the given one first."""
 
@@ -32,7 +32,7 @@ GUESSES: Registry[Callable[..., RobotSettings]] = Registry("h3data.robot_guesses
 """Functions that make settings of robots that have none, from the loaded robot and the names of links with true
 shapes."""
 DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
-"""Endings of descriptions of robots: URDF, and MJCF, which h3data_worlds reads."""
+"""Suffixes of files that describe robots: URDF, and MJCF, which h3data_worlds reads."""
 
 
 def _check(loaded: Any) -> None:

@@ -24,14 +24,14 @@ class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     forward: tuple[float, float, float]
     """Viewing direction in the link frame."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Direction in the link frame that the picture shows upwards."""
+    """Direction in the link frame that points up in the image."""
     width: int
     height: int
     hfov_deg: float
 
 
 class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A ``[[legs]]`` table: a leg that can step."""
+    """Settings of a robot's leg, a ``[[legs]]`` table."""
 
     joints: tuple[str, str, str]
     """Names of the joints: hip roll (about x), hip pitch and knee (about y)."""
@@ -40,25 +40,25 @@ class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The fields of ``robot.toml``."""
+    """Settings of a robot in ``robot.toml``."""
 
     urdf: str = ""
-    """Path of the URDF, relative to this file; empty: ``robot.urdf``, or the only one beside it."""
+    """Path of the URDF, relative to this file; if empty, ``robot.urdf`` or the only URDF in the same folder."""
     base_height_m: float = 0.0
     body_height_m: float = 0.5
     base_discs_m: tuple[float, ...] = (0.0,)
-    """Places along x of the discs in which the base must stay free."""
+    """Positions along x of the discs in which the base must stay free of obstacles [m]."""
     base_profiles: dict[str, tuple[float, ...]] = {}
     """Further sets of base discs, by name."""
     base_radius_m: float = 0.25
     hull_discs_m: tuple[float, ...] = ()
-    """Places along x of discs of the same radius that cover the whole robot at rest; empty: computed."""
+    """Positions along x of discs of the base radius that cover the whole robot at rest [m]; computed if empty."""
     max_speed_mps: float | None = None
-    """Speed limit of the base; by default the task's."""
+    """Speed limit of the base [m/s]; None for the limit of the task."""
     max_turn_rad_s: float | None = None
-    """Turn rate limit of the base; by default the task's."""
+    """Turn rate limit of the base [rad/s]; None for the limit of the task."""
     rest: tuple[float, ...] = ()
-    """Joint positions in URDF order; empty = zeros, put inside the limits."""
+    """Joint positions at rest in URDF order [rad or m]; if empty, zeros clipped to the limits."""
     hand_link: str = ""
     """Link that grasps; empty = the robot has no hand."""
     hand_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -77,7 +77,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def decode_settings(path: Path) -> RobotSettings:
-    """Read a ``robot.toml`` by itself, without its URDF; once until the file changes.
+    """Read a ``robot.toml`` without its URDF; the result is cached until the file changes.
 
     Raises:
         FormatError: A field is unknown, of another type, or not finite; the message names it.
@@ -104,7 +104,7 @@ def _decoded(path: Path, *version: int) -> RobotSettings:
 
 
 def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
-    """Return the settings in a file, checked against the URDF they belong to; defaults without a file."""
+    """Return the settings in a file, checked against its URDF, or default settings if there is no file."""
     if path is None:
         return RobotSettings()
     settings = decode_settings(path)

@@ -1,7 +1,7 @@
-"""Boxes that replace missing meshes of a robot, so that a URDF by itself can be played and rendered.
+"""Boxes that replace missing meshes of a robot, so that a URDF alone can be simulated and rendered.
 
-A link's own collision shapes stand in for its visuals and the other way round. A link that has neither gets a box from its
-origin to the joints of its children, at least as large as the box with its mass and moments of inertia.
+A link's own collision shapes stand in for its visuals and the other way round. A link that has neither gets a box from
+its origin to the joints of its children, at least as large as the box with its mass and moments of inertia.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from h3data.bodies.robots.urdf_parts import UrdfGeometry
 
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
-    """Return a URDF of meshes that exist, and the names of the links whose shapes are all their own.
+    """Replace missing meshes of a URDF by boxes; return it with the names of the links that needed no replacement.
 
-    Warns, naming the other files. Where no link at all has collision shapes, visuals become those.
+    A warning names the missing files. If no link has collision shapes, the visual shapes replace them.
     """
     missing = missing_meshes(urdf.links)
     if missing:

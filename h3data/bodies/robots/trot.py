@@ -1,8 +1,9 @@
-"""Legs that step while the base moves: a trot made from the track of the base alone, for pictures.
+"""Trot of legged robots for rendering, computed from the track of the base alone.
 
-Diagonal legs move together; how far they are in their cycle depends on the distance covered, so they stand when the robot
-stands and step backwards when it backs up. A standing foot keeps its place in the world: where it is at rest, seen from
-the base in the middle of that stance. The simulation does not know of it: as in Habitat, the legs of its robot are posed.
+Diagonal legs move together; their phase depends on the distance covered, so they stand when the robot stands and step
+backwards when it moves backwards. A standing foot is fixed in the world, at its resting position relative to the base
+in the middle of the stance. The simulation does not use the trot: as in Habitat, the legs of its robot keep a fixed
+posture.
 """
 
 from __future__ import annotations
@@ -31,12 +32,13 @@ class TrotSpec:
     """Constants of the trot."""
 
     stride_m: float = 0.7
-    """Longest distance that a robot covers in one cycle of a leg."""
+    """Longest distance that a robot covers in one cycle of a leg [m]."""
     least_stride_m: float = 0.28
-    """Shortest stride, of a robot that hardly moves [m]."""
+    """Shortest stride, at very low speeds [m]."""
     stride_steps: float = 6.0
-    """Number of steps whose distance, with 0.2 m, makes a stride, up to `stride_m` at 2.5 m/s. With equal strides at
-    all speeds, legs that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
+    """Number of simulation steps whose distance, plus 0.2 m, is the length of a stride, up to `stride_m` at 2.5 m/s.
+    With equal strides at all speeds, legs that turned on the spot stretched 37 cm to the side, and hind knees stood in
+    walls."""
     stride_offset_m: float = 0.2
     """Length of a stride at speed 0, before it is clipped [m]."""
     smooth_steps: int = 9
@@ -44,27 +46,27 @@ class TrotSpec:
     duty: float = 0.55
     """Fraction of the cycle in which a foot stands."""
     lift_m: float = 0.05
-    """Height to which a swinging foot is lifted; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
+    """Height to which a swinging foot is lifted [m]; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
     tuck: float = 0.7
-    """Largest share of its distance by which a swinging foot is drawn towards its place at rest, half-way. In 24
+    """Largest share of its distance by which a swinging foot is moved towards its resting position half-way. In 24
     episodes, hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this
     value."""
     settle_steps: int = 4
     """Number of steps after a stop within which all feet are on the floor."""
     settle_m: float = 0.05
-    """Distance covered in the steps around from which on feet are lifted fully [m]."""
+    """Distance covered in the surrounding steps above which feet are lifted fully [m]."""
     nose_clear_m: float = 0.02
     """Height at which a foot passes over the noses of steps [m]."""
     over_share: float = 0.25
-    """Share of a swing, at its beginning and at its end, in which the foot is below `nose_clear_m`."""
+    """Share of a swing, at its start and at its end, in which the foot is below `nose_clear_m`."""
     lean_share: float = 0.5
     """Share of the distance from below the root to below the hips by which feet under a pitched base are moved. With
     all of it the lower legs of `quad_arm` were too short for the steps below, with none the upper ones were folded
     flat."""
     jump_m: float = 0.5
-    """Distance of a step beyond which the base was moved from outside, so that the trot begins anew [m]."""
+    """Distance of a step beyond which the base was moved from outside, so that the trot starts again [m]."""
     max_stretch: float = 0.999
-    """Largest stretch as a share of the length of a leg, so that the knee keeps its side."""
+    """Largest stretch as a share of the length of a leg, so that the knee does not flip."""
 
 
 TROT = TrotSpec()
@@ -77,13 +79,15 @@ def trot(
     *,
     heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
-    """Return joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
+    """Return joint positions [T, J] with the legs of a robot stepping along its base track.
+
+    Other joints stay as they are.
 
     Args:
         robot: A robot; one without legs gets its joint positions back.
-        base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
-        joint_pos: Its joint positions, shape [T, J].
-        heights: Height of the floor at a place [m] (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
+        base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is absent.
+        joint_pos: Joint positions of the robot, shape [T, J] [rad or m].
+        heights: Floor heights of the scene (`h3data.scene.floor_heights`); feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
@@ -201,10 +205,11 @@ def _feet(
 
 
 def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float64]:
-    """Return the hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
+    """Return the hip roll, hip pitch and knee [..., 3] [rad] that bring a foot to points [..., 3] [m] in the URDF base frame.
 
-    Closed form: the roll turns the plane of the leg through the point, two sides of a triangle do the rest. Points out of
-    reach are approached along the line from the hip, angles end at their limits.
+    The solution is in closed form: the roll turns the plane of the leg through the point, and the other angles are
+        those of a triangle. Points out of reach are approached along the line from the hip, and angles are clipped to
+        their limits.
     """
     hip, pitch, knee = (robot.origins[robot.joint_links[c], :3, 3] for c in leg.columns)
     x, y, z = np.moveaxis(np.asarray(foot, np.float64) - hip, -1, 0)

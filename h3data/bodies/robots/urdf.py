@@ -42,7 +42,7 @@ MAX_LINKS = 10_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfLink:
-    """Rigid body in a URDF."""
+    """Link of a URDF: one rigid body."""
 
     name: str
     visuals: tuple[UrdfPart, ...]
@@ -64,7 +64,7 @@ class UrdfMimic:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfJoint:
-    """Joint that connects ``child`` to ``parent``."""
+    """Joint of a URDF, which connects the link ``child`` to the link ``parent``."""
 
     name: str
     kind: JointKind
@@ -89,7 +89,7 @@ class UrdfJoint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Urdf:
-    """A kinematic tree. Links and joints are in the order of the file."""
+    """Kinematic tree of a URDF, with links and joints in the order of the file."""
 
     name: str
     path: Path
@@ -99,7 +99,7 @@ class Urdf:
     rest: Mapping[str, float] = field(default_factory=dict)
     """Resting positions of joints [rad or m]; empty for URDF files, which cannot state them."""
     has_posture: bool = False
-    """True if the joint positions are a posture in which the robot's maker wants it to rest, arms included."""
+    """True if ``rest`` is a resting posture that the file defines, including the arms."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
@@ -117,7 +117,7 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not URDF, or not one that this can use.
+        FormatError: It is not a URDF, or it uses unsupported features.
         MissingAssetError: Mesh files are missing.
     """
     path = Path(path)

@@ -32,9 +32,9 @@ class UrdfIssues:
     """Faults that are found while a URDF is read."""
 
     faults: list[str] = field(default_factory=list)
-    """Reasons to refuse the file."""
+    """Faults for which the file is refused."""
     warnings: list[str] = field(default_factory=list)
-    """Deviations from the standard that have one usual reading, which was taken."""
+    """Deviations from the standard that were interpreted in the usual manner."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ def read_numbers(
 ) -> tuple[float, ...]:
     """Return ``count`` numbers from an attribute, or ``default`` where it is missing or blank.
 
-    Vectors with more numbers than that lose the rest, with a warning: Bullet, whose own robots have such files, reads them so.
+    Further numbers are ignored with a warning, as in Bullet, whose own robots have such files.
     """
     if text is None or not text.strip():
         return default
@@ -144,7 +144,7 @@ def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple
 def read_parts(
     link: ElementTree.Element, tag: str, folder: Path, materials: dict[str, tuple[int, int, int]], issues: UrdfIssues
 ) -> Iterator[UrdfPart]:
-    """Yield the visual or collision shapes of a link, as ``tag`` says; faults are added to ``issues``."""
+    """Yield the shapes of a link in elements ``tag`` (``visual`` or ``collision``), and add faults to ``issues``."""
     for element in link.findall(tag):
         where = f"link {link.get('name')}, {tag}"
         geometry = _geometry(element.find("geometry"), folder, where, issues)

@@ -1,6 +1,6 @@
-"""Robot and person, row by row, by the paper's rules: distance, facing, found, backing up, yielding.
+"""Per-row quantities of robot and person by the paper's rules: distance, facing, found, backing up and yielding.
 
-The one definition of "found" for the paper's metrics and whatever follows it; habitat-lab's own is in
+This module holds the definition of "found" for the paper's metrics; habitat-lab's own definition is in
 `h3data_habitat.metrics.stats`.
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Limits of finding and following. Defaults: the paper's."""
+    """Limits of finding and following, by default those of the paper."""
 
     near_m: float = 1.0
     """Smallest distance of finding and following [m], inclusive."""
@@ -35,13 +35,14 @@ class Thresholds:
     yield_m_s: float = 0.1
     """Speed below which the robot yields [m/s]."""
     still_m_s: float = 1e-3
-    """Forward speed up to which a robot counts as standing [m/s]: float32 positions at 30 Hz make up to 3e-4 of noise."""
+    """Forward speed up to which a robot counts as standing [m/s]; float32 positions at 30 Hz have noise of up to 3e-4
+    m/s."""
 
 
 PAPER = Thresholds()
 
 MANY_ROWS = 3_000_000
-"""Number of rows in one process from which on it pays to import numba: 2,000 episodes of the paper's length."""
+"""Number of rows in one process above which importing numba saves time (2,000 episodes of the paper's length)."""
 _measured_rows = 0
 
 
@@ -57,12 +58,13 @@ def found_series(
     Args:
         robot_pose: pose7 [T, 7].
         human_pose: pose7 [T, 7].
-        reach_m: Distance that decides about finding, shape [T] [m]: geodesic if known. Nothing is found where it is NaN.
-        thresholds: Limits.
+        reach_m: Distance by which finding is decided, shape [T] [m], geodesic if known. Rows with NaN do not count as
+            found.
+        thresholds: Limits of finding and following.
 
     Returns:
         Quantities [T] ``dist_m`` (L2 in space), ``reach_m`` (NaN without both poses) and ``facing_dot``; flags [T]
-        ``in_reach``, ``facing`` and ``found`` (both of them).
+        ``in_reach``, ``facing`` and ``found`` (both ``in_reach`` and ``facing``).
     """
     return _found(_components(robot_pose), _components(human_pose), reach_m.astype(np.float64), thresholds)[0]
 
@@ -76,12 +78,13 @@ def encounter_series(
     starts: NDArray[np.int64] | int = 0,
     thresholds: Thresholds = PAPER,
 ) -> dict[str, NDArray]:
-    """Compute `found_series`, and in which rows the robot makes room for the human.
+    """Compute `found_series`, and in which rows the robot backs up or yields to the human.
 
-    The rows may be those of several episodes, one after another, which begin in the rows ``starts``.
+    The rows may belong to several consecutive episodes, which start in the rows ``starts``.
 
-    Further quantity: ``speed_m_s`` [T], NaN in the first row of an episode. Further flags [T]: ``near`` (L2 distance below
-    ``avoid_m``), ``backs_up`` and ``yields``, never both. The first row has no velocity and is neither.
+    The additional quantity is ``speed_m_s`` [T], which is NaN in the first row of an episode. The additional flags [T]
+    are ``near`` (L2 distance below ``avoid_m``), ``backs_up`` and ``yields``. The last two exclude each other, and are
+    false in the first row, which has no velocity.
     """
     global _measured_rows
     _measured_rows += len(robot_pose)

@@ -1,9 +1,10 @@
-"""The paper's metrics of social rearrangement: SR, RE, CR, RC, TS.
+"""Metrics of social rearrangement as in the paper: SR, RE, CR, RC and TS.
 
-They read ``metrics.at_goal`` bool [T, K], whether each of K objects is at its goal (which object: ``info["goal_objects"]``,
-K indices as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every agent, ``metrics.collision``,
-``info["max_steps"]`` (E) and ``info["solo_steps"]`` (steps of the person alone in the same episode). Where Habitat itself
-judged success, as in imported sessions, ``metrics.success`` bool [T] takes the place of ``metrics.at_goal``.
+They read ``metrics.at_goal`` bool [T, K], which states whether each of K objects is at its goal
+(``info["goal_objects"]`` holds the K object indices, as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every
+agent, ``metrics.collision``, ``info["max_steps"]`` (E) and ``info["solo_steps"]`` (steps that the person needs alone in
+the same episode). If Habitat itself determined success, as in imported sessions, ``metrics.success`` bool [T] is read
+instead of ``metrics.at_goal``.
 """
 
 from __future__ import annotations

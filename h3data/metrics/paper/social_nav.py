@@ -1,7 +1,7 @@
 """Computation of the paper's social navigation metrics: S, SPS, F, CR, BYR, TD, FD.
 
-Formulas, sources and interpretations: `h3data.metrics.paper.social_nav_definitions`. What a recording cannot tell is NaN,
-and a note says why; nothing is guessed, and nothing undefined becomes 0.
+Formulas, sources and interpretations: `h3data.metrics.paper.social_nav_definitions`. Values that a recording does not
+determine are NaN, with a note on the reason; undefined values are never guessed or set to 0.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def social_nav_series(recording: Recording) -> Series:
 
 
 def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
-    """Return the distance that decides about finding and following [m], shape [T]: geodesic if recorded, else L2."""
+    """Return the distance by which finding and following are decided [m], shape [T]: geodesic if recorded, else L2."""
     if GEODESIC in recording.columns:
         # the same type from either source, so that limits compare alike
         return recording.columns[GEODESIC].astype(np.float32, copy=False)

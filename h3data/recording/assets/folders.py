@@ -17,12 +17,12 @@ ASSETS_VARIABLE = "H3DATA_ASSETS"
 
 
 class AssetFolders:
-    """The user's asset folders, searched in order; without any, those of the environment variable H3DATA_ASSETS.
+    """Asset folders of the user, searched in order; by default the folders in the environment variable H3DATA_ASSETS.
 
-    A root may be the folder that holds ``data``, ``data`` itself, or any folder in which the files lie somewhere.
+    A root may be the folder that holds ``data``, ``data`` itself, or any folder that contains the files at any depth.
 
     Raises:
-        SceneError: a root is no folder.
+        SceneError: a root is not a folder.
     """
 
     def __init__(self, roots: Sequence[str | Path] | None = None) -> None:
@@ -39,9 +39,9 @@ class AssetFolders:
     def resolve(self, uri: str) -> Path | None:
         """Return the file of a recorded path, or None.
 
-        Tried in this order: the path below each root, the same with the known aliases of its folder, then the file
-        below a root that shares the longest end of the path. A shared file name alone is not enough (every YCB object
-        is called ``textured.glb``): the shared end must hold a hash or number, three names, or a telling folder.
+        The search tries the path below each root, then known aliases of its folder, then the file below a root whose
+        path shares the longest end with it. A shared file name alone is not enough (every YCB object is called
+        ``textured.glb``): the shared end must hold a hash or number, three names, or a distinctive folder name.
         """
         if uri not in self._resolved:
             path = clean_path(uri)

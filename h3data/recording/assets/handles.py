@@ -1,4 +1,4 @@
-"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be anywhere."""
+"""Handles of Habitat's objects: ``chair_:0000`` is an instance of the template ``chair``, whose files may be in any folder."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from pathlib import Path
 from h3data.errors import SceneError
 
 HANDLE = "handle:"
-"""Beginning of the uri of an asset of which only the name of the template is known."""
+"""Prefix of the URI of an asset of which only the name of the template is known."""
 
 
 def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
-    """Return the one file that makes the template ``name``: a config goes before a bare mesh; None if there is no file.
+    """Return the file that defines the template ``name``, preferably a config instead of a mesh.
+
+    The result is None if there is no file.
 
     Raises:
-        SceneError: several would do; the message lists them.
+        SceneError: several files match; the message lists them.
     """
     most = 4
     for files in (configs, meshes):

@@ -21,16 +21,16 @@ from h3data.scene.records import Scene
 from h3data.scene.sources import object_mesh
 
 OWN_FOLDER_ENDING = ".assets"
-"""Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
+"""Suffix of the folder of GLB files that `h3data export --to gfx-replay` writes next to a replay of the same name."""
 EMPTY_URI = "primitive:empty"
-"""Uri of instances that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
+"""URI of instances without a visible mesh (Habitat's ``invalid_filepath``)."""
 
 
 class AssetLibrary:
     """Library of meshes for the assets of a recording.
 
-    ``roots`` are as in `AssetFolders`, or one that was made already.
-    What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
+    ``roots`` are folders, or an existing `AssetFolders`. Requested assets that are not found are collected in
+    `missing`, and files that cannot be read in `unreadable`.
     """
 
     def __init__(
@@ -57,9 +57,10 @@ class AssetLibrary:
         return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
 
     def with_own_folder(self, recorded: object) -> AssetLibrary:
-        """Return a library with the folder that a replay brought along (``info["source"]["assets"]``), if it still exists.
+        """Return a library that also searches a replay's own asset folder (``info["source"]["assets"]``), if it still exists.
 
-        It answers paths that begin with its name, after the roots; nothing else beside it is read.
+        The folder is searched after the roots, for paths that start with its name; no other files next to the replay
+        are read.
         """
         folder = Path(recorded) if isinstance(recorded, str) and recorded.endswith(OWN_FOLDER_ENDING) else None
         if folder is None or not folder.is_dir():
@@ -76,7 +77,7 @@ class AssetLibrary:
         return self.folders.resolve(uri) or self._beside(uri)
 
     def mesh(self, ref: AssetRef) -> Mesh | None:
-        """Return the mesh of an asset in our frame and metres; None if it is missing or unreadable."""
+        """Return the mesh of an asset in h3data's frame (+Y up, metres); None if it is missing or unreadable."""
         mesh = self._mesh(ref)
         if mesh is not None and ref.color is not None:
             mesh = painted(mesh, ref.color)
@@ -96,7 +97,7 @@ class AssetLibrary:
         return found if found is None or ref.color is None else replace(found, mesh=painted(found.mesh, ref.color))
 
     def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:
-        """Return a clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
+        """Return a striped placeholder for a missing asset, whose size is plausible after ``body.scale`` is applied."""
         del body  # its scale is applied by the renderer; nothing else in the file is known to affect the size
         return placeholder_mesh(clean_path(ref if isinstance(ref, str) else ref.uri))
 

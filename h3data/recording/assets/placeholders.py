@@ -1,4 +1,4 @@
-"""Placeholders for assets that are not on this machine: striped, so that nobody mistakes them for the real ones."""
+"""Striped placeholders for assets that are not on this machine, which cannot be mistaken for real assets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAGENTA = (255, 0, 200)
 
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
-    """Return the probable kind of a missing file, from its recorded path alone."""
+    """Return the probable kind of object of a missing asset file, from its recorded path alone."""
     kinds: dict[PlaceholderKind, str] = {
         "human": r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$",
         "robot_link": r"(^|/)robots?/|hab_spot_arm|hab_fetch|hab_stretch",
@@ -37,12 +37,12 @@ def placeholder_kind(uri: str) -> PlaceholderKind:
 
 @lru_cache(maxsize=512)
 def placeholder_mesh(uri: str) -> Mesh:
-    """Return a striped stand-in for a missing file, in the frame of its node: +Y up (robot links: z up).
+    """Return a striped placeholder for a missing asset file, in the frame of its node: +Y up (robot links: z up) [m].
 
-    Sizes follow from the path: furniture 0.4 m, standing on its origin (of 308 HSSD objects in a real session 181
-    have their origin exactly at the floor), doors and windows 0.4 m around it, YCB objects 0.1 m, a person of 1.7 m
-    around a pelvis at 0.9 m, a stage a floor of 40 m around the origin, Spot's links by name, other robots' links
-    0.12 m.
+    Sizes follow from the path. Furniture has 0.4 m and stands on its origin (in a real session, 181 of 308 HSSD objects
+    have their origin exactly at the floor). Doors and windows have 0.4 m around the origin, and YCB objects 0.1 m. A
+    person has 1.7 m, with the pelvis at 0.9 m, and a stage is a floor of 40 m around the origin. Spot's links have
+    sizes by name, and links of other robots 0.12 m.
     """
     kind = placeholder_kind(uri)
     # the other colour of the stripes, by kind; one is always `MAGENTA`
@@ -93,7 +93,7 @@ def striped_box(
     stripes: int = 3,
     share: float = 0.35,
 ) -> Mesh:
-    """Return a box in ``color`` whose six faces carry ``stripes`` magenta stripes that cover ``share`` of them."""
+    """Return a box in ``color`` with ``stripes`` magenta stripes on each face, which cover the share ``share`` of it."""
     middles = (np.arange(stripes) + 0.5) / stripes * 2 - 1
     edges = np.unique(np.concatenate([[-1, 1], middles - share / stripes, middles + share / stripes]))
     # one face of the unit cube at +z, cut along x; the others are rotations of it

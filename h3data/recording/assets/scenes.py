@@ -1,4 +1,4 @@
-"""A home in a recording: its assets by reference, and everything in it as bodies."""
+"""Records of a home in a recording: its assets by reference, and its objects as bodies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data.scene.kinds import KINDS
 # Episodes of a run often share their home.
 @lru_cache(maxsize=4)
 def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
-    """Return assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
+    """Return the assets of a home, which refer to the attachment ``scene.glb``, and its objects as bodies that never move."""
     assets = tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets)
     bodies = tuple(
         Body(
@@ -33,7 +33,7 @@ def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]
 
 @lru_cache(maxsize=4)
 def scene_attachment(scene: Scene) -> tuple[bytes, str]:
-    """Return the scene file and its digest: the same for all episodes in this home."""
+    """Return the scene file of a home and its digest, which are the same for all its episodes."""
     buffer = io.BytesIO()
     save_scene(scene, buffer)
     return buffer.getvalue(), scene_digest(scene)
@@ -42,8 +42,8 @@ def scene_attachment(scene: Scene) -> tuple[bytes, str]:
 def categories_of(scene: Scene) -> list[str]:
     """Return the names of the semantic classes that a scene may have, in the order of their ids.
 
-    For homes these are the classes of their generation, with those of stairs where there are several storeys; for all other
-    scenes those of the first generation.
+    Homes have the classes of their generation, and classes of stairs if they have several storeys. All other scenes
+    have the classes of the first generation.
     """
     # scenes of other makers get ids from the first generation, by the names of their categories
     home = scene.source if scene.source.get("kind") == "home" else {}

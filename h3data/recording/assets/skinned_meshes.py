@@ -22,12 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkinnedMesh:
-    """The mesh of a file with its skin."""
+    """Mesh of a glTF file with its skin."""
 
     mesh: Mesh
     """Rest shape in h3data's frame, as `load_mesh` returns it."""
     points: csr_array
-    """Skinning operator over `joint_names` and one more, for parts without a skin (`h3data.bodies.people.skinning`)."""
+    """Skinning operator over `joint_names` and one more joint for parts without a skin
+    (`h3data.bodies.people.skinning`)."""
     joint_names: tuple[str, ...]
     inverse_bind: Array
     """Inverse bind matrix of each joint, shape [J, 4, 4]."""
@@ -37,10 +38,10 @@ class SkinnedMesh:
     def vertices(self, root: Array, bones: Array, names: Sequence[str]) -> NDArray[np.float32]:
         """Return world vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
 
-        ``names`` says which joint each bone moves; a joint without a bone follows the root. Bones are world frames
-        without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, F turning the file's axes
-        into ours, rigid() the pose without its scale: the asset's frame and the instance's scale act on what the bones
-        made, as habitat-sim has it (its drawn bodies of scale 0.5 come out just so).
+        ``names`` holds the name of the joint that each bone moves; a joint without a bone follows the root. Bones are
+        world frames without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, where F
+        converts the file's axes to h3data's and rigid() removes the scale of a pose. As in habitat-sim, the asset's
+        frame and the instance's scale are applied to the result of the bones.
         """
         of_bone = {name: number for number, name in enumerate(names)}
         # bones are recorded without scale, so the root must lose its own before they are compared
@@ -62,7 +63,7 @@ def load_skinned_mesh(
     front: tuple[float, float, float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> SkinnedMesh | None:
-    """Return the skinned mesh of a glTF file, None if nothing in it is skinned; arguments and errors as `load_mesh`.
+    """Return the skinned mesh of a glTF file, or None if it has no skin; arguments and errors are those of `load_mesh`.
 
     Parts that no skin moves follow the root. Only the four influences of ``JOINTS_0`` are read.
     """

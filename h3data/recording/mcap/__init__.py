@@ -1,1 +1,1 @@
-"""The session log: MCAP files that survive a crash."""
+"""Session logs: MCAP files that stay readable after a crash."""

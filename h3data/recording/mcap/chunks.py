@@ -1,4 +1,4 @@
-"""Chunks of a finished recording, each with everything that was known at its end."""
+"""Division of a finished recording into chunks, each with all events, inputs and skills known at its end."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
 CHUNK_S, WORTH_BYTES = 10.0, 20
-"""Longest chunk [s of the episode], which is what a truncated or damaged file loses besides the missing part; and
-saving per row [bytes] from which on a longer chunk pays: 62 for a looping clip, 0 to 18 in simulations."""
+"""Longest chunk [s of the episode], which a truncated or damaged file loses in addition to the missing part, and the
+saving per row [bytes] above which a longer chunk is used (62 for a looping clip, 0 to 18 in simulations)."""
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the first row of each stretch of 10 s, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
+    """Return the first row and the row after the last of each interval of 10 s, for increasing times ``times_ns`` [T] [ns].
 
-    Without rows there is one stretch, which is empty.
+    Without rows there is one empty interval.
     """
     if not len(times_ns):
         return [(0, 0)]
@@ -33,9 +33,9 @@ def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
 def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
     """Return whether poses repeat bit for bit over more than 10 s, such as a looping clip in local rotations.
 
-    Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of 60
-    frames. Such a recording gets chunks as large as they may be. If its file is cut inside of one, the complete compressed
-    blocks before the cut can still be read (`scan.take_beginning`).
+    Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of
+    60 frames. Such a recording gets chunks of the largest size. If its file is truncated inside a chunk, the complete
+    compressed blocks before the cut can still be read (`scan.take_beginning`).
     """
     import zstandard
 
@@ -55,9 +55,9 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
 
 
 class CutRecording:
-    """Events, inputs and skills of a recording, returned step by step as it is written.
+    """Events, inputs and skills of a recording, which are returned step by step while it is written.
 
-    Everything is handed out in its recorded order, which need not be that of time; the last chunk takes what is left.
+    They are returned in their recorded order, which need not be the order of time; the last chunk contains the rest.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -82,7 +82,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Return number and span of each skill begun before step ``stop``, except those that were returned complete before.
+        """Return number and span of each skill that started before step ``stop``, without those already returned complete.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

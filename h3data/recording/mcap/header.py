@@ -16,7 +16,7 @@ TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
 
 
 def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
-    """Return the Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
+    """Return the Unix time of step 0 [ns]: ``t0_unix_ns``, or else the value in ``episode.info``, or else 0."""
     t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
     try:
         return int(t0)
@@ -31,7 +31,7 @@ def log_time(t0_unix_ns: int, time_ns: int) -> int:
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
-    """Return the metadata records with which a log begins, by name."""
+    """Return the metadata records at the start of a log, by name."""
     episode = episode_metadata(header.episode)
     try:
         # names with lone surrogates come from file systems, and would fail in the middle of the file

@@ -26,7 +26,7 @@ class Backlog:
     """Stream to a file that buffers bytes which the disk does not accept.
 
     `write` never fails. `flush` writes what is in the buffer, and continues where it stopped when it is called again.
-    The file always holds the beginning of everything written to the stream.
+    The file always holds the first part of the bytes written to the stream.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -89,7 +89,7 @@ def publish(part: Path, final: Path) -> None:
 
 
 class PartFile:
-    """The file of a log from its first byte to its final name."""
+    """File of a log, which gets its final name when it is complete."""
 
     def __init__(self, final: Path, *, overwrite: bool) -> None:
         """Create ``<final>.part``.
@@ -112,7 +112,7 @@ class PartFile:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """Turn I/O errors within the block into an `InputError` that says what can be recovered."""
+        """Convert I/O errors within the block to an `InputError` that states which part can be recovered."""
         try:
             yield
         except FileExistsError:
@@ -134,7 +134,7 @@ class PartFile:
         publish(self.path, self.final)
 
     def shut(self) -> None:
-        """Close the file; its contents stay under the current name."""
+        """Close the file without renaming it."""
         with contextlib.suppress(OSError):  # closing flushes; a full disk was reported before
             self.stream.close()
 

@@ -35,14 +35,14 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
     """Return the recording in an MCAP file, exactly as it was written.
 
-    With ``columns`` only these and the indispensable ones (time, object and base poses) are decoded. Of a log that another
-    program has written anew without its metadata records, there are all steps, skills and events; the task is ``unknown``, and
-    ``info["recovered"]`` says why.
+    With ``columns``, only these and the required columns (time, object and base poses) are decoded. If another program
+    has rewritten the log without its metadata records, all steps, skills and events are read; the task is ``unknown``,
+    and ``info["recovered"]`` states the reason.
 
     Raises:
         InputError: the file does not exist or cannot be read, or lacks a column.
-        FormatError: the file is not a log of h3data, or is truncated or damaged; the message says how much of it
-            `recover_mcap` can save.
+        FormatError: the file is not a log of h3data, or is truncated or damaged; the message states how much of it
+            `recover_mcap` can recover.
     """
     path = place(path)
     log = scan_records(load(path))
@@ -103,7 +103,7 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
 
 # --- logs without metadata records ------------------------------------------------------------------------------------
 def lacks_records(log: McapRecords) -> bool:
-    """Return whether another program rewrote the log without our metadata records; each log of ours begins with one."""
+    """Return whether another program rewrote the log without h3data's metadata records, with which every log starts."""
     ours = any(name.startswith("h3.") for name in log.metadata)
     return not ours and log.channel_of("/h3/scene") is not None
 
@@ -119,10 +119,10 @@ def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
 def reconstruct(
     log: McapRecords, path: AnyPath, *, steps: int | None = None, first: Sequence[memoryview] | None = None
 ) -> None:
-    """Add the metadata records, as far as the topics determine them: columns, number of steps, and time between steps.
+    """Reconstruct the metadata records of a log from its topics: columns, number of steps, and time between steps.
 
-    Task, scene, seed and settings are lost; ``info["recovered"]`` says so. ``steps`` and ``first`` are the number of messages
-    on ``/h3/state`` and the first two of them, taken from the log if None.
+    Task, scene, seed and settings are lost, as ``info["recovered"]`` states. ``steps`` and ``first`` are the number of
+    messages on ``/h3/state`` and the first two messages; if None, they are taken from the log.
     """
     channels = {topic: log.channel_of(f"/h3/{topic}") for topic in TOPIC_MESSAGES}
     layout: list[Column] = []
@@ -187,7 +187,7 @@ def _plain(message: Any) -> dict[str, Any]:
 def columns_of(
     log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Return columns of all topics: exactly ``steps`` rows from row ``first``, or the unbroken rows from there if None."""
+    """Return the columns of all topics: exactly ``steps`` rows from row ``first`` on, or if None, all consecutive rows."""
     parts: list[dict[str, NDArray[Any]]] = []
     for topic, message in TOPIC_MESSAGES.items():
         channel = log.channel_of(f"/h3/{topic}")
@@ -234,7 +234,7 @@ def _layout(log: McapRecords) -> Layout | None:
 def assemble(
     log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
 ) -> Recording:
-    """Return the recording in these records; ``steps`` and ``first`` as for `columns_of`."""
+    """Return the recording in these records, with ``steps`` rows from row ``first`` on, as in `columns_of`."""
     if "h3.episode" not in log.metadata:
         raise FormatError("it ends before the episode record", code="H3-RECORDING-021")
     episode = episode_from_dict(log.metadata["h3.episode"], path=path)

@@ -30,10 +30,10 @@ class Recovery:
 def recover_mcap(
     path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Recovery:
-    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
+    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, complete log.
 
-    ``info["recovered"]`` of the new episode says why. Reading stops at the first damage; nothing is guessed. The original
-    is kept, even if ``out`` is the name it was meant to have.
+    ``info["recovered"]`` of the new episode states the reason. Reading stops at the first damage, and no data are
+    guessed. The original is not deleted, even if ``out`` is its intended final name.
 
     Raises:
         InputError: ``out`` exists and ``overwrite`` is False, or the file cannot be read.

@@ -1,4 +1,4 @@
-"""Rows between `RecordingWriter.append` and the file: checked against the columns, held back to be encoded together."""
+"""Buffer of rows between `RecordingWriter.append` and the file, which are checked and then encoded together."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PendingRows:
         self._last_time: int | None = None
 
     def add(self, arrays: Rows) -> None:
-        """Hold a copy of n rows: every column, shape [n, ...].
+        """Add a copy of n rows to the buffer; ``rows`` has every column with shape [n, ...].
 
         Raises:
             InputError: columns are missing or have another dtype or shape, or time does not increase.
@@ -48,7 +48,7 @@ class PendingRows:
         self.steps += count
 
     def take(self) -> Rows:
-        """Return all rows held, joined; {} if there are none."""
+        """Remove all rows from the buffer and return them joined; {} if there are none."""
         pending, self._pending = self._pending, []
         if not pending:
             return {}

@@ -1,4 +1,4 @@
-"""Attachments that the logs of a folder share: stored once in ``<folder>/h3/files``, named in each log by their hash."""
+"""Attachments that the logs of a folder share, stored once in ``<folder>/h3/files`` and named in each log by their hash."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
     """Store attachments in ``<folder>/h3/files`` and return the record that names them.
 
     Raises:
-        InputError: ``log`` does not lie in ``folder``, where its readers search.
+        InputError: ``log`` is not inside ``folder``, where readers search.
     """
     # readers search upwards from the log, so a folder elsewhere would never be found again
     if folder.absolute() not in log.absolute().parents[:_LEVELS]:
@@ -36,10 +36,10 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
 
 
 def shared_files(record: Mapping[str, str], log: AnyPath) -> dict[str, bytes]:
-    """Return the attachments named in a log's record, from ``h3/files`` beside the log or in a folder above it.
+    """Return the attachments named in a log's record, from ``h3/files`` in the log's folder or in a folder above it.
 
     Raises:
-        FormatError: one of them is missing or damaged.
+        FormatError: an attachment is missing or damaged.
     """
     # absolute, because the parents of a relative path end at the working directory
     at = log.absolute() if isinstance(log, Path) else log

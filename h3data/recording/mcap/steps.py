@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
-    """Steps of a log; the most recently decompressed chunks are cached."""
+    """Random access to the steps of an MCAP log, with a cache of recently decompressed chunks."""
 
     once = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
     """Topics whose messages are written once and not at every step."""

@@ -4,7 +4,7 @@ Packed ``repeated float`` is the little-endian bytes of a float32 array behind a
 wire types, constant list lengths and every field always present, all messages of a topic have the same length, so T
 messages are one uint8 matrix [T, L]: 4x faster to write and 6x faster to read than message objects
 (``research/formats.md`` 1.2). They remain ordinary protobuf: the descriptor is in the file and any reader decodes them.
-Messages of other lengths, from another writer, are read here through google.protobuf.
+Messages of other lengths, from other writers, are read through google.protobuf.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from h3data.errors import FormatError
 from h3data.recording.schema import STRUCTS, Column, Layout, Topic, layout_from_json, layout_to_json, log_topic_of
 
 STEP = Column("", "uint32", ())
-"""Row number that ties the messages of the topics together, field ``step`` with number 2; not a column of the recording."""
+"""Field ``step`` (number 2) with the row number, which relates messages of different topics; it is not a column of the
+recording."""
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _WIRE = {  # dtype -> protobuf type, numpy dtype on the wire, wire type of one value
@@ -43,7 +44,7 @@ _WIRE = {  # dtype -> protobuf type, numpy dtype on the wire, wire type of one v
 
 @dataclass(frozen=True)
 class WireField:
-    """Field of a per-step message."""
+    """Field of a Protobuf message that is written at every step."""
 
     column: Column
     name: str
@@ -166,10 +167,12 @@ def decode_messages(
     descriptor: bytes,
     message: str,
 ) -> dict[str, NDArray[Any]]:
-    """Decode the messages of one topic into columns, and the row numbers under ``""``; only ``wanted`` columns if given.
+    """Decode the messages of one topic into columns, and the row numbers under ``""``.
 
-    One `np.frombuffer` if every message has the length and the tags that the layout implies, else one protobuf object
-    per message.
+    If ``wanted`` is given, only these columns are decoded.
+
+    A single `np.frombuffer` decodes them if all messages have the length and tags of the layout; otherwise each is
+    decoded as a protobuf object.
 
     Raises:
         FormatError: a list has another length, or a value does not fit its column.

@@ -1,6 +1,6 @@
-"""Writing MCAP files: while an episode runs, or of a finished recording at once.
+"""Writer of MCAP files, step by step while an episode runs or from a finished recording.
 
-A file grows while the episode runs and is readable up to its last flush after a crash. While it is written it is called
+A file grows while the episode runs and is readable up to its last flush after a crash. An unfinished file is named
 ``<name>.part``; only a complete file gets its final name. ``h3data docs format`` describes the contents.
 """
 
@@ -59,16 +59,17 @@ CHUNK_BYTES = 4 << 20
 
 
 class RecordingWriter:
-    """An MCAP file that is open for writing, with exactly the rows that are flushed.
+    """MCAP file that is open for writing.
 
-    As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
+    As a context manager it closes the file at the end. After an exception or Ctrl-C the rows so far remain in
     ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every
-    ``flush_rows`` rows (30 are one second) or ``flush_s`` seconds. What the disk does not take stays in memory: after an error
-    of the disk, `flush` and `close` can be called again when there is space, and nothing is lost.
+    ``flush_rows`` rows (30 rows are one second) or ``flush_s`` seconds. Data that the disk does not accept stay in
+    memory: after a disk error, `flush` and `close` can be called again when there is space, and nothing is lost.
 
-    A file that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
-    final name, reads it back and replaces it by the file `write_mcap` would make of it (`pack_mcap`). Pass ``compact=False`` to
-    skip that. A whole file exists under the name throughout; a full disk leaves the small chunks.
+    A file that was flushed repeatedly consists of small chunks and is twice as large as necessary. `close` gives it its
+    final name, reads it back and replaces it by a compact file (`pack_mcap`), as written by `write_mcap`. Pass
+    ``compact=False`` to skip that. A complete file exists under the final name at all times; if the disk is full, the
+    small chunks remain.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class RecordingWriter:
         return 0 if self._rows is None else self._rows.steps
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
-        """Write one or more steps: every column, time first, shape [n, ...] with the same n for all."""
+        """Write one or more steps; ``rows`` has every column, with shape [n, ...] and the same n for all."""
         added = self._add(rows)
         assert self._rows is not None
         due = self._rows.steps - self._rows.taken >= self._flush_rows
@@ -165,9 +166,9 @@ class RecordingWriter:
     def append_recording(self, recording: Recording) -> None:
         """Write all steps, skills, events and inputs of a recording.
 
-        Chunks span at most 10 s (`chunks.repeats` names the exception). Events, inputs and skills follow
-        the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
-        off thus loses only the chunks after the cut.
+        Chunks span at most 10 s (`chunks.repeats` names the exception). Events, inputs and skills are written after the
+        steps at which they become known, and a skill as ``running`` until it ends. A truncated file therefore loses
+        only the chunks after the cut.
         """
         parts, long_chunks = CutRecording(recording), repeats(recording.columns)
         for start, stop in slices(recording.columns["time_ns"]):
@@ -206,8 +207,8 @@ class RecordingWriter:
     def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
         """Write a high-level action and return its number.
 
-        A skill that has just begun can be written as ``running`` and again with ``replaces=<its number>`` when it ends:
-        readers keep the last one. A crash then does not lose the action under way.
+        A skill that has just started can be written as ``running``, and again with ``replaces=<its number>`` when it
+        ends. Readers use the last version, so a crash does not lose an unfinished action.
         """
         self._require_open()
         if replaces is not None and not 0 <= replaces < self._spans:
@@ -220,7 +221,7 @@ class RecordingWriter:
         return number
 
     def flush(self) -> None:
-        """Give everything appended so far to the operating system, where it survives the end of this process."""
+        """Pass all appended data to the operating system, so that they survive the end of this process."""
         self._require_open()
         with self._file.writing():
             self._write_pending()
@@ -230,12 +231,13 @@ class RecordingWriter:
     def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
         """Finish, sync, rename and pack the file; return its final path. A second call does nothing.
 
-        ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
+        ``info`` holds facts known only at the end, such as the result of the episode, and is merged into
+        ``episode.info``.
 
         Raises:
-            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``. Call it again when there is space,
-                or `abort`.
-            FormatError: reading back shows that the storage did not keep what was written.
+            InputError: the disk is full or fails; flushed data stay in ``<name>.part``. Call `close` again when there
+                is space, or call `abort`.
+            FormatError: the data read back differ from the data written.
         """
         if self.closed:
             return self.path
@@ -261,7 +263,10 @@ class RecordingWriter:
         return self.path
 
     def abort(self, *, keep: bool = True) -> None:
-        """Stop here. The rows so far stay as ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False."""
+        """Stop writing before the recording is complete.
+
+        The rows so far stay in ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False.
+        """
         if self.closed:
             return
         try:
@@ -382,7 +387,7 @@ def write_mcap(
     """Write a finished recording as one MCAP file and return its path; equal recordings make equal files.
 
     With ``share_in``, a folder around the file, attachments such as the scene are stored once for all recordings in it
-    (``<share_in>/h3/files``). A file for a URI is written to a temporary folder first and uploaded whole.
+    (``<share_in>/h3/files``). If the path is a URI, the file is written to a temporary folder and then uploaded.
     """
     target = place(path)
     if isinstance(target, RemotePath):
@@ -410,9 +415,10 @@ def pack_mcap(
     share_in: str | os.PathLike[str] | None = None,
     chunk_bytes: int = CHUNK_BYTES,
 ) -> None:
-    """Replace a finished log by an equal one with large chunks; without room for it on the disk, leave it as it is.
+    """Replace a finished log by an equal one with large chunks, unless the disk lacks space for it.
 
-    A program that must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
+    As packing takes about 0.1 s, a real-time program should write with ``compact=False`` and pack the log in another
+    process.
     """
     # a hidden name in the same folder, so that the rename stays within one disk
     packed = path.with_name(f".{path.name}.compact")

@@ -1,1 +1,1 @@
-"""The dataset: Parquet in LeRobot v3 layout."""
+"""Datasets of episodes: Parquet files in the layout of LeRobot v3."""

@@ -1,4 +1,4 @@
-"""Rows of one column between NumPy and the Arrow arrays that a dataset stores."""
+"""Conversion of columns between NumPy arrays and the Arrow arrays that a dataset stores."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from h3data.recording.schema import Column
 
 
 def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[Any]:
-    """Return rows in the declared width, flattened to [T, width]; padded with NaN, -1, 0 (unsigned) or False."""
+    """Return rows flattened to [T, width] and padded to the declared width with NaN, -1, 0 (unsigned) or False."""
     if values is not None and values.shape[1:] == column.shape:
         return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
     # values that mean "nothing there" in our columns: an absent pose, no body, no skill
@@ -50,12 +50,12 @@ def to_arrow(rows: NDArray[Any]) -> pa.Array:
 
 
 def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, steps: int) -> NDArray[Any]:
-    """Return a column in its own shape [steps, ...], as a writable copy without the padding.
+    """Return a stored column as a writable array in its own shape [steps, ...], without padding.
 
     ``declared`` is the column of the dataset; ``stored`` is None if the column has no width.
 
     Raises:
-        ValueError: ``stored`` has another type or shape than declared.
+        ValueError: ``stored`` does not have the declared type or shape.
     """
     if not column.width or stored is None:
         return column.empty(steps)
@@ -79,7 +79,9 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return the table with its columns cast to the types of ``schema``; columns that only one has stay as they are.
+    """Return the table with its columns cast to the types of ``schema``.
+
+    Columns that are missing in either are unchanged.
 
     Raises:
         ValueError: a column of the schema has nulls.

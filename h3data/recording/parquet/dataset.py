@@ -1,4 +1,4 @@
-"""Parquet datasets as recordings, columns and tables of episodes; only requested columns are read."""
+"""Parquet datasets, whose episodes are read as recordings, columns or tables; only requested columns are read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 
 class Dataset(DatasetFolder):
-    """Episodes of a dataset folder, read when they are needed; safe to open while another process adds episodes."""
+    """Episodes of a dataset folder, read on demand.
+
+    A dataset can be opened while another process adds episodes.
+    """
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``)."""
@@ -74,14 +77,14 @@ class Dataset(DatasetFolder):
         )
 
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
-        """Return the episodes that match, as `Episodes.filter` does.
+        """Return the episodes whose facts match a function or given values, as `Episodes.filter` does.
 
         Examples: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda f: f["length"] > 300)``.
         """
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """Split the episodes as `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
+        """Split the episodes at random, as `Episodes.split` does: ``train, test = ds.split(0.8, by="scene")``."""
         return self.all().split(*shares, seed=seed, by=by)
 
     def merge(self, *others: HasEpisodes) -> Episodes:
@@ -93,9 +96,9 @@ class Dataset(DatasetFolder):
     ) -> Recording:
         """Return episode ``index``, exactly as it was added, or only parts of it.
 
-        ``columns`` restricts it to these columns and the indispensable ones. ``records`` restricts it to some kinds of records
-        (``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) and leaves out attachments; metrics need only
-        ``agents``. One row group is read.
+        ``columns`` restricts it to these columns and the required ones. ``records`` restricts it to some kinds of
+        records (``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) and omits attachments. Metrics
+        need only ``agents``. One row group is read.
         """
         self.row(index)
         return next(self.recordings(range(index, index + 1), columns=columns, records=records))
@@ -103,9 +106,9 @@ class Dataset(DatasetFolder):
     def recordings(
         self, indices: range, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None
     ) -> Iterator[Recording]:
-        """Yield consecutive episodes as `recording` returns them, read together, which is faster for many.
+        """Yield consecutive episodes as recordings, which are read together and therefore faster than one by one.
 
-        All of them are held in memory; their columns are views of common arrays.
+        All of them are held in memory; their columns are views of shared arrays.
         """
         kinds = [kind for kind in SIDECARS if records is None or kind in records]
         self._require_columns(columns or ())
@@ -132,7 +135,7 @@ class Dataset(DatasetFolder):
                 )
 
     def with_columns(self, index: int, columns: Mapping[str, NDArray[Any]]) -> Recording:
-        """Return episode ``index`` with all its records and attachments, and these arrays instead of its columns."""
+        """Return episode ``index`` with its records and attachments, and with given arrays instead of its columns."""
         row, one = self.row(index), range(index, index + 1)
         return Recording(
             episode=episode_from_dict(row, path=self.root),
@@ -175,7 +178,7 @@ class Dataset(DatasetFolder):
         return episode_video(self.root, row, feature, fps=self.schema.fps)
 
     def videos(self, index: int) -> list[EpisodeVideo]:
-        """Return the videos of episode ``index`` from all `cameras`; none of an episode without steps."""
+        """Return the videos of episode ``index`` from all `cameras`; none if the episode has no steps."""
         return [self.video(index, camera) for camera in self.cameras if self.row(index)["length"]]
 
     def layout(self, index: int) -> Layout:
@@ -211,7 +214,8 @@ class Dataset(DatasetFolder):
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
         """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
 
-        Values are as stored: a vector is a fixed-size list of the declared width, and narrower episodes are padded. The
+        Values have their stored form: a vector is a fixed-size list of the declared width, and narrower episodes are
+            padded. The
         table is held in memory; for larger data use `iter_columns` or ``h3data sql``.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear only when complete."""
+"""Names of the files in a dataset folder as in LeRobot v3.0, and atomic writing of small files."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def shard_files(root: AnyPath, kind: str) -> list[AnyPath]:
 
 
 def shard_number(path: AnyPath) -> int:
-    """Return the inverse of `shard_path`."""
+    """Return the number of a file from its path: the inverse of `shard_path`."""
     return int(path.parent.name.split("-")[1]) * FILES_PER_CHUNK + int(path.stem.split("-")[1])
 
 
 def is_dataset(root: AnyPath) -> bool:
-    """Return whether a folder holds a dataset: LeRobot's info.json or our schema."""
+    """Return whether a folder holds a dataset: LeRobot's info.json or h3data's schema."""
     return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
 
 
@@ -50,7 +50,7 @@ def is_begun(root: AnyPath) -> bool:
 
 
 def write_atomic(path: AnyPath, data: bytes) -> None:
-    """Write a small file that appears under its name with all of its contents, synced to the disk.
+    """Write a small file atomically: it appears with its complete contents, synced to the disk.
 
     Several processes may write the same file at once.
     """

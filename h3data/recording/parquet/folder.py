@@ -28,7 +28,7 @@ _BLOCK, _BLOCKS_KEPT = 64, 256
 class EpisodeRows(Sequence[dict[str, Any]]):
     """Rows of an episode table as Python values, made on demand.
 
-    Those of a million episodes would take gigabytes; the 16,384 used last are kept.
+    The rows of a million episodes would take gigabytes, so only the 16,384 used last are cached.
     """
 
     def __init__(self, table: pa.Table) -> None:
@@ -63,7 +63,10 @@ class EpisodeRows(Sequence[dict[str, Any]]):
 
 
 class DatasetFolder:
-    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is active."""
+    """Committed episodes of a dataset folder.
+
+    Files are read lazily, and a folder can be opened while a writer is active.
+    """
 
     def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
         """Open a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).
@@ -99,8 +102,8 @@ class DatasetFolder:
     def episodes(self) -> pa.Table:
         """Table of the committed episodes, one row each.
 
-        It has LeRobot's columns (location, length), ours (uid, task, scene, seed, info as JSON, ...), and of LeRobot's
-        statistics only those of videos.
+        It has LeRobot's columns (location, length), h3data's columns (uid, task, scene, seed, info as JSON, ...), and
+        LeRobot's statistics of videos only.
 
         Raises:
             FormatError: a table is damaged or missing.
@@ -135,7 +138,7 @@ class DatasetFolder:
 
     @cached_property
     def rows(self) -> Sequence[dict[str, Any]]:
-        """Rows of `episodes` as Python values, with present names in ``info``."""
+        """Rows of `episodes` as Python values, with names in ``info`` updated to this version."""
         return EpisodeRows(self.episodes)
 
     def __len__(self) -> int:
@@ -162,7 +165,7 @@ class DatasetFolder:
         """Read stored columns of some episodes of one shard, at least one of them with steps.
 
         Raises:
-            FormatError: they are damaged.
+            FormatError: the data are damaged.
         """
         rows = [self.row(index) for index in group]
         try:
@@ -178,7 +181,7 @@ class DatasetFolder:
         return table.replace_schema_metadata(None)
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
-        """Return the records of a kind in one shard."""
+        """Return the table of all records of one kind in one shard."""
         return self._records.table(kind, shard)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Metadata of a LeRobot v3.0 dataset: info.json, tasks.parquet, stats.json.
 
-They only summarise: `rebuild_meta` makes them again from ``h3/schema.json`` and ``meta/episodes``.
+These files only summarise the dataset; `rebuild_meta` writes them again from ``h3/schema.json`` and ``meta/episodes``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Totals:
     episodes: int = 0
     frames: int = 0
     tasks: dict[str, int] = field(default_factory=dict)
-    """Index of each instruction."""
+    """Index of each instruction in tasks.parquet."""
     moments: dict[str, Moments] = field(default_factory=dict)
 
     @classmethod

@@ -37,7 +37,7 @@ class Moments:
         return np.sqrt(self.m2 / np.maximum(self.count, 1))
 
     def to_lists(self) -> list[list[float]]:
-        """Return all fields as plain lists, for JSON; the inverse of `from_lists`."""
+        """Return all fields as lists for JSON, which `from_lists` reads."""
         arrays = (self.count, self.mean, self.m2, self.low, self.high)
         return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
 
@@ -86,7 +86,7 @@ def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[n
 
 
 def merged(a: Moments, b: Moments) -> Moments:
-    """Return moments of both samples together (Chan et al. 1979)."""
+    """Return the moments of the union of two samples (Chan et al. 1979)."""
     with np.errstate(all="ignore"):
         count = a.count + b.count
         share = b.count / np.maximum(count, 1)
@@ -106,13 +106,16 @@ def merged(a: Moments, b: Moments) -> Moments:
 
 
 def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
-    """Add the moments of more rows to ``total``, feature by feature."""
+    """Add the moments of further rows to ``total``, for each feature."""
     for name, moments in more.items():
         total[name] = merged(total[name], moments) if name in total else moments
 
 
 def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """Return min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite."""
+    """Return min, max, mean, std, count and quantiles as LeRobot stores them.
+
+    The values are 0 for components without finite values.
+    """
     any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
     if m.quantiles is not None:
@@ -122,13 +125,13 @@ def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, 
 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:
-    """Return moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
+    """Return moments as text for Parquet metadata: base64 of deflated JSON, at a third of the size."""
     # JSON and no pickle: metadata of a foreign file are data, and never run
     text = json.dumps({name: m.to_lists() for name, m in moments.items()})
     return base64.b64encode(zlib.compress(text.encode())).decode()
 
 
 def unpack_moments(packed: bytes) -> dict[str, Moments]:
-    """Return the inverse of `pack_moments`; empty bytes give none."""
+    """Return the moments that `pack_moments` packed; empty bytes give no moments."""
     lists = json.loads(zlib.decompress(base64.b64decode(packed))) if packed else {}
     return {name: Moments.from_lists(v) for name, v in lists.items()}

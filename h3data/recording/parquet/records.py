@@ -37,7 +37,7 @@ DAMAGE = (
 def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
     """Read the table in a small Parquet file, without the columns for which ``leave_out`` is true.
 
-    It takes half the time of `pq.read_table`, which is made for folders of files.
+    It takes half the time of `pq.read_table`, which is designed for folders of files.
     """
     with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
         if leave_out is None:
@@ -55,14 +55,14 @@ class DatasetRecords:
         self._files = FileStore(root / "h3" / "files")
 
     def table(self, kind: str, shard: int) -> pa.Table:
-        """Return the records of a kind in one shard."""
+        """Return the table of all records of one kind in one shard."""
         return read_whole(shard_path(self._root, f"h3/{kind}", shard))
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
         """Return the records of one kind for each of several consecutive episodes of one shard.
 
         Raises:
-            FormatError: they are damaged.
+            FormatError: the records are damaged.
         """
         key = (kind, shard)
         try:
@@ -89,7 +89,7 @@ class DatasetRecords:
         """Return the attached files of an episode, from its row of the episode table.
 
         Raises:
-            FormatError: one of them is missing or damaged.
+            FormatError: a file is missing or damaged.
         """
         episode = row["episode_index"]
         try:

@@ -42,7 +42,7 @@ SIDECARS = {
     "events": "Event",
     "inputs": "Input",
 }
-"""Tables beside the data files, with the struct that each holds."""
+"""Names of the tables of records next to the data files (sidecars), with the struct that each contains."""
 
 EPISODE_SCHEMA = pa.schema(
     [
@@ -73,7 +73,7 @@ EPISODE_SCHEMA = pa.schema(
 
 
 def stored_dtype(column: Column) -> str:
-    """Return the dtype of a column in the data files: a uint64 is an int64 of the same bits.
+    """Return the dtype of a column in the data files, which stores uint64 values as int64 with the same bits.
 
     Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
     """
@@ -85,7 +85,7 @@ class DatasetSchema:
     """Columns of every data file of a dataset, fixed before the first one is written."""
 
     columns: Layout
-    """Widest shape of every column."""
+    """Widest shape of each column over all episodes."""
     fps: int
     robot_type: str
     version: str = SCHEMA_VERSION
@@ -93,7 +93,7 @@ class DatasetSchema:
     videos: tuple[VideoFeature, ...] = ()
     """Cameras of which every episode has a video."""
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of the numbers in a column, by column, as an export to LeRobot writes them."""
+    """Names of the components of each column, by column, as an export to LeRobot writes them."""
     episode_stats: bool = True
     """True if the episode tables have LeRobot's statistics of every feature. Older datasets have only those of the
     videos."""
@@ -116,7 +116,7 @@ class DatasetSchema:
         """Return the schema of an existing dataset.
 
         Raises:
-            FormatError: the schema is missing or damaged, or a newer h3data wrote it.
+            FormatError: the schema is missing or damaged, or written by a newer version of h3data.
         """
         path = root / "h3" / "schema.json"
         try:
@@ -149,7 +149,7 @@ class DatasetSchema:
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
-    """Return the narrowest layout that fits all of these; ``max_bodies`` widens ``object_pose``.
+    """Return the narrowest layout that fits all given layouts; ``max_bodies`` widens ``object_pose``.
 
     Raises:
         InputError: columns of one name differ in dtype or number of axes.
@@ -176,7 +176,7 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
 
 
 def data_schema(schema: DatasetSchema) -> pa.Schema:
-    """Return the Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
+    """Return the Arrow schema of the data files: LeRobot's columns, then h3data's columns with a width above 0."""
     fields = [pa.field(name, arrow_rows(dtype, 1)) for name, dtype in STANDARD.items()]
     fields += [pa.field(c.name, arrow_rows(stored_dtype(c), c.width)) for c in schema.columns if c.width]
     return pa.schema(

@@ -1,4 +1,4 @@
-"""Writing of a shard of a dataset: data file, sidecars and episode table, which stay invisible until all are complete."""
+"""Writer of a shard of a dataset: data file, sidecars and episode table, which become visible when all are complete."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Shard:
     ) -> None:
         """Write an episode: its steps as one row group, its row of the episode table, its records and its videos.
 
-        ``index`` and ``start`` are the number of the episode and of its first step in the whole dataset.
+        ``index`` and ``start`` are the numbers of the episode and of its first step in the whole dataset.
         """
         steps = len(recording)
         arrays = {c.name: padded(recording.columns.get(c.name), c, steps) for c in self.schema.columns if c.width}

@@ -13,7 +13,7 @@ from h3data.recording.steps import Steps
 
 
 class DatasetSteps(Steps):
-    """Steps of one episode of a dataset; columns that have been read stay in memory in Arrow's form."""
+    """Steps of one episode of a dataset; columns that were read are cached as Arrow data."""
 
     def __init__(self, dataset: Dataset, index: int) -> None:
         self.dataset, self.index = dataset, index

@@ -1,4 +1,4 @@
-"""A Parquet dataset as tables: Arrow, polars, pandas, torch; and as a lazy Arrow dataset for query engines.
+"""Conversion of Parquet datasets to tables of Arrow, polars, pandas and torch.
 
 A table has one row per step, like the files: arrays are flattened in C order to fixed-size lists of the declared width,
 narrower episodes are padded (h3data docs format). Vectors are not split into columns.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def to_arrow(
     dataset: DatasetFolder, *, columns: Sequence[str] | None = None, episodes: Iterable[int] | None = None
 ) -> pa.Table:
-    """Return the steps of ``episodes`` in their order, one chunk for one or several episodes; see `Dataset.to_arrow`."""
+    """Return the steps of ``episodes`` in the given order as a table; see `Dataset.to_arrow`."""
     schema = table_schema(dataset, columns)
     tables = [_typed(dataset.read_group(group, schema.names), schema) for group in _groups(dataset, episodes)]
     # an empty batch, unlike `Schema.empty_table`, gives each column a chunk, which tensors are made of
@@ -35,7 +35,7 @@ def to_arrow(
 
 
 def to_polars(table: pa.Table) -> polars.DataFrame:
-    """Return a polars frame in the same memory; fixed-size lists become polars arrays."""
+    """Convert an Arrow table to a polars frame in the same memory; fixed-size lists become polars arrays."""
     try:
         import polars
     except ImportError:
@@ -48,7 +48,9 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
 
 
 def to_pandas(table: pa.Table) -> pandas.DataFrame:
-    """Return a pandas frame: scalars as NumPy columns, vectors in the same Arrow memory (``frame[name].list[0]``)."""
+    """Convert an Arrow table to a pandas frame.
+
+    Scalars become NumPy columns, and vectors stay in the same Arrow memory (``frame[name].list[0]``)."""
     try:
         import pandas
     except ImportError:
@@ -64,7 +66,7 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
 
 
 def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
-    """Return columns as tensors [T, *shape].
+    """Return columns of an Arrow table as torch tensors [T, *shape].
 
     A column of one chunk shares its memory, except bool, which Arrow packs into bits.
     """
@@ -83,7 +85,7 @@ def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, t
 
 
 def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -> pa.Schema:
-    """Return the names and declared types of the columns of the data files: all, or ``columns`` in their order.
+    """Return the names and declared types of all columns of the data files, or of ``columns`` in their order.
 
     Raises:
         InputError: there is no such column, or its width is 0 in the whole dataset, so that it is not stored.

@@ -1,7 +1,7 @@
-"""Videos of a dataset's cameras in LeRobot's layout: the episodes of a shard one after the other in one MP4 per camera.
+"""Videos of a dataset's cameras in LeRobot's layout: one MP4 per camera with the episodes of a shard in sequence.
 
-Episodes are copied packet by packet, never encoded again. They must be H.264 without B-frames that begin with a key frame, so
-that packets stand in the order of their frames and any stretch from a key frame on is a video of its own.
+Episodes are copied packet by packet, never encoded again. They must be H.264 without B-frames and start with a key
+frame, so that packets are in the order of their frames and each section from a key frame on is a separate video.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ MAX_FILE_S = 1000.0
 """Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
 neighbouring float32 numbers are farther apart than that."""
 MAX_FILE_BYTES = 200 << 20
-"""Size from which the next video goes into another file, LeRobot's ``video_files_size_in_mb`` [bytes]."""
+"""Size of a video file above which the next episode goes into another file, LeRobot's ``video_files_size_in_mb``
+[bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class VideoFeature:
 
     @property
     def key(self) -> str:
-        """Name of the feature."""
+        """Name of the feature in LeRobot's metadata."""
         return f"observation.images.{self.camera}"
 
     def lerobot(self, fps: int) -> dict[str, Any]:
@@ -66,7 +67,7 @@ class VideoFeature:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeVideo:
-    """Video of one episode by one camera: a stretch of a video file."""
+    """Video of one episode by one camera: a section of a video file."""
 
     feature: VideoFeature
     path: AnyPath
@@ -76,7 +77,7 @@ class EpisodeVideo:
     moments: Moments
     """Moments of the channels R, G, B over all pixels, in 0..1."""
     start: int = 0
-    """Number of the frame of the file with which the episode begins, a key frame."""
+    """Index of the frame in the file at which the episode starts, a key frame."""
 
     def frames(self) -> Iterator[NDArray[np.uint8]]:
         """Decode the frames in order, each sRGB [height, width, 3].
@@ -130,7 +131,7 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
 
 
 class VideoAppender:
-    """An MP4 file that episodes are appended to."""
+    """MP4 file to which episodes are appended."""
 
     def __init__(self, part: Path) -> None:
         """Create the file ``part``, which must not exist."""
@@ -147,8 +148,8 @@ class VideoAppender:
         """Copy an episode to the end of the file.
 
         Raises:
-            InputError: it was encoded with other settings than those before it.
-            FormatError: it is damaged or has fewer frames than it should.
+            InputError: the episode is encoded with other settings than earlier ones.
+            FormatError: the video is damaged or has too few frames.
         """
         import av
 

@@ -1,4 +1,4 @@
-"""Writing a Parquet dataset: one row per step, one row group per episode, LeRobot v3.0 layout, safe against crashes.
+"""Crash-safe writer of Parquet datasets in the layout of LeRobot v3.0, with a row per step and a row group per episode.
 
 Episodes are gathered in *shards* of about 100. A shard is a data file, its sidecars (``h3/bodies``, ``h3/skills``, ...)
 and an episode table. All are written under temporary names and renamed when complete, the episode table last: its
@@ -35,21 +35,23 @@ from h3data.recording.schema import Layout, episode_to_dict, layout_of, layout_t
 from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
 _WRITER = "h3/writer"
-"""File that names the process that writes a dataset in an object store; deleted when the dataset is closed."""
+"""Name of the file that identifies the process writing a dataset in an object store; deleted when the dataset is
+closed."""
 
 
 class DatasetWriter:
     """Writer of recordings into a dataset folder.
 
-    The first episode fixes the columns of a dataset, or ``like`` (recordings whose columns must fit as well) and
-    ``max_bodies`` (moving bodies of the fullest scene) do so up front. Later episodes may be narrower or lack columns - they
-    are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they may have
-    other rates, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager it
-    commits all completely added episodes, also on an exception or Ctrl-C. One writer per folder at a time.
+    The columns of a dataset are determined by its first episode, by ``like`` (recordings whose columns must fit too)
+    and by ``max_bodies`` (largest number of moving bodies). Later episodes may be narrower or lack columns: they are
+    padded, and read back exactly. They must not be wider. All have ``fps`` steps per second; with ``nominal_fps`` they
+    may have other rates, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a
+    context manager it commits all completely added episodes, also on an exception or Ctrl-C. Only one writer per folder
+    may be active at a time.
 
     The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and uploaded when it is
-    committed, its episode table last. Of two writers the one that came first is told at its next commit, before it uploads
-    anything: the name of the last one is in ``h3/writer`` as long as it writes.
+    committed, its episode table last. If two writers are active, the first one fails at its next commit, before it
+    uploads anything, because the file ``h3/writer`` names the last one.
     """
 
     def __init__(
@@ -96,10 +98,12 @@ class DatasetWriter:
         return self._totals.episodes + (self._shard.episodes if self._shard else 0)
 
     def add(self, recording: Recording, *, videos: Sequence[EpisodeVideo] = ()) -> int:
-        """Append one episode and return its index. It is durable from the next commit on.
+        """Append one episode and return its index.
 
-        ``videos`` show each of its steps, from the same cameras in all episodes of a dataset that have steps; they are
-        copied.
+        The episode survives a crash after the next commit.
+
+        ``videos`` have a frame for each step. They must be from the same cameras in all episodes that have steps, and
+        are copied.
 
         Raises:
             InputError: the episode or its videos do not fit the dataset.
@@ -151,7 +155,7 @@ class DatasetWriter:
         return index
 
     def commit(self) -> None:
-        """Finish the current files: all episodes added so far survive a crash."""
+        """Finish the current files, so that all episodes added so far survive a crash."""
         if self._shard is None or self._schema is None:
             return
         shard, self._shard = self._shard, None

@@ -1,4 +1,7 @@
-"""Files of episodes to be played; the group ``h3data.episode_files`` provides their readers and writers."""
+"""Files that describe episodes to be simulated.
+
+The group ``h3data.episode_files`` provides their readers and writers.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from h3data.scene.sources import SceneSource
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeFiles:
-    """One kind of episode files, and of the objects that episodes in them add to their scenes."""
+    """Functions for one kind of episode files, and for the objects that their episodes add to scenes."""
 
     read: Callable[[Path], EpisodeSet]
     """Function that reads the episodes of a file."""
@@ -37,8 +40,8 @@ class EpisodeFiles:
     templates and asset folders; it returns the scene with the objects, and the center of mass [3] [m] of each by name,
     in the axes of its asset. Boxes replace missing templates."""
     stand_ins: Callable[[SceneSource, Sequence[EpisodeObject], Sequence[str]], Sequence[str]]
-    """Function that returns which objects are replaced by boxes, and why, for a scene's source, an episode's objects
-    and the folders of their templates."""
+    """Function that returns messages on objects that are replaced by boxes. It is called with a scene's source, an
+    episode's objects and the folders of their templates."""
 
 
 def _check(entry: Any) -> None:
@@ -51,10 +54,10 @@ def _check(entry: Any) -> None:
 
 @cache
 def episode_files() -> EpisodeFiles:
-    """Return the kind of episode files that h3data reads and writes: those of Habitat, with our records in them.
+    """Return the kind of episode files that h3data reads and writes: Habitat's files with h3data's records in them.
 
     Raises:
-        InputError: the package that has it is not installed.
+        InputError: the package that provides it is not installed.
     """
     kinds: Registry[EpisodeFiles] = Registry("h3data.episode_files", {}, what="kind of episode files", check=_check)
     return kinds.get("habitat")

@@ -1,8 +1,9 @@
-"""Goals of PARTNR's collaboration episodes: which objects have to be put where, from their propositions.
+"""Goals of PARTNR's collaboration episodes, which state the furniture on which objects must be placed.
 
-An episode lists propositions such as ``is_on_top(object_handles, receptacle_handles, number)``: ``number`` of the objects
-have to be on any of the pieces of furniture (partnr-planner, habitat_llm/agent/env/evaluation). Those that ask for a place on
-furniture can be played as rearrangement; states (clean, powered on), rooms, the floor and neighborhood cannot.
+An episode lists propositions such as ``is_on_top(object_handles, receptacle_handles, number)``: ``number`` of the
+objects have to be on any of the pieces of furniture (partnr-planner, habitat_llm/agent/env/evaluation). Propositions
+about objects on furniture can be simulated as rearrangement. Propositions about states (clean, powered on), rooms, the
+floor and neighborhood cannot.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ PROPOSITIONS = "evaluation_propositions"
 
 
 class Placement(msgspec.Struct, frozen=True, kw_only=True):
-    """An object that has to be put on any of some pieces of furniture."""
+    """Object that must be placed on one of several pieces of furniture."""
 
     object: str
     """Handle of the object."""
@@ -41,14 +42,16 @@ class _Proposition(msgspec.Struct):
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """Return the placements that an episode of PARTNR requires, in the order of its propositions; None for other episodes.
+    """Return the placements that an episode of PARTNR requires, in the order of its propositions.
 
-    Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
-    things done is not kept.
+    The result is None for other episodes.
+
+    If several objects satisfy a proposition, the first ones that no other proposition needs are chosen. The temporal
+    order that an episode requires is ignored.
 
     Raises:
         FormatError: the propositions are malformed.
-        InputError: it asks for something else, or for nothing.
+        InputError: the episode has unsupported propositions, or none.
     """
     listed = episode.extra.get(PROPOSITIONS)
     if listed is None:

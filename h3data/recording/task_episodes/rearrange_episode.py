@@ -25,7 +25,7 @@ Matrix = NDArray[np.float64]
 
 
 class RigidObject(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """An object that the episode adds to the scene."""
+    """Object that the episode adds to the scene."""
 
     config: str
     """File name of the object's template, such as ``024_bowl.object_config.json``."""
@@ -39,24 +39,27 @@ class RigidObject(msgspec.Struct, frozen=True, eq=False, gc=False):
 
 
 class Marker(msgspec.Struct, frozen=True, kw_only=True):
-    """A point of interest on an articulated object, such as the handle of a drawer."""
+    """Point of interest on an articulated object, such as the handle of a drawer."""
 
     name: str
     kind: str
     """Kind of the marker, Habitat's ``type``."""
     offset: tuple[float, float, float]
-    """Place of the marker in the frame of its link [m]."""
+    """Position of the marker in the frame of its link [m]."""
     link: str | int
     object: str
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Unknown keys; those of ``params`` under ``params``."""
+    """Unknown keys of the marker; unknown keys of its ``params`` are under ``params``."""
 
 
 class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One episode, as habitat-lab's ``RearrangeEpisode``. Episodes of navigation datasets have no objects."""
+    """Episode with the fields of habitat-lab's ``RearrangeEpisode``.
+
+    Episodes of navigation datasets have no objects.
+    """
 
     episode_id: str | int
-    """Id as in the file. habitat-lab's rearrange loader forgets it and counts 0, 1, ... in the order of the file."""
+    """Id as in the file. habitat-lab's rearrange loader replaces it by 0, 1, ... in the order of the file."""
     scene_id: str
     scene_dataset_config: str = "default"
     additional_obj_config_paths: tuple[str, ...] = ()
@@ -70,7 +73,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Goal frames in the world, [4, 4] each, by the handle of the object. Their order numbers the targets."""
     markers: tuple[Marker, ...] = ()
     target_receptacles: tuple[tuple[str, int | None], ...] = ()
-    """Handle and link of what each target object stands on, in the order of ``targets``."""
+    """Handle and link of the furniture on which each target object stands, in the order of ``targets``."""
     goal_receptacles: tuple[tuple[str, int | None], ...] = ()
     """Receptacles of the goals, in the same form as those of the targets."""
     name_to_receptacle: Mapping[str, str] = msgspec.field(default_factory=dict)
@@ -79,7 +82,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Joint positions [rad or m] by link index, by handle of the articulated object, where they are not the default."""
     info: Mapping[str, Any] = msgspec.field(default_factory=dict)
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Keys of the file that are unknown here, or that have an older form. The stock loader of habitat-lab refuses
+    """Keys of the file without a field in this class, or in an older form. The stock loader of habitat-lab refuses
     episodes with keys that its class lacks, and refuses the original file too."""
     absent: frozenset[str] = frozenset()
     """Keys of Habitat that the file did not have (or that are in ``extra``); these fields are not written."""
@@ -101,16 +104,16 @@ class ContentFile(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     episodes: int
-    """Number of the set's episodes in this file; the files follow each other."""
+    """Number of consecutive episodes of the set in this file."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
 class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The episodes of a dataset, in the order of the file."""
+    """Episodes of a dataset, in the order of the file."""
 
     episodes: tuple[RearrangeEpisode, ...]
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Keys of the file that have no field here, such as ``config``."""
+    """Keys of the file that have no field in this class, such as ``config``."""
     contents: tuple[ContentFile, ...] = ()
     """Names of the files that hold the episodes, if the dataset is split by scene; replace it by () to write one
     file."""
@@ -136,7 +139,7 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 def handles_of(configs: Sequence[str]) -> list[str]:
     """Return the handles that Habitat gives to objects, from the file names of their templates, in the same order.
 
-    See `instance_handles`.
+    The handles are ``<template>_:<count>``, counted per template (`instance_handles`).
     """
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
@@ -163,7 +166,7 @@ def object_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
 
 
 def goal_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
-    """Return the pose (pose7) [7] in the world that every target object is to have, by handle, in the order of the targets."""
+    """Return the pose (pose7) [7] in the world of the goal of every target object, by handle, in the order of the targets."""
     return {handle: _pose(matrix, f"the goal of {handle}") for handle, matrix in episode.targets.items()}
 
 

@@ -1,7 +1,7 @@
-"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples anew every time.
+"""Social-navigation episodes in Habitat's files: starts and waypoints, which Habitat itself samples again at each reset.
 
-Habitat stores neither where the two agents begin nor where the person walks (spec/habitat.md 1.2). Ours lie under
-``info["h3data"]``, which Habitat carries along unread, so that one file serves both.
+Habitat stores neither the start poses of the two agents nor the waypoints of the person (spec/habitat.md 1.2). h3data
+stores them under ``info["h3data"]``, which Habitat ignores, so both programs can use the same file.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ TASK = "social_nav"
 
 
 class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
-    """Starts of both agents and the walk of the person: everything that a simulator needs besides the scene."""
+    """Starts of both agents and waypoints of the person: all data that a simulator needs besides the scene."""
 
     robot_start: Start
     human_start: Start
     human_goals: tuple[tuple[float, float], ...]
-    """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
+    """Floor points ``(x, z)`` [m] to which the person walks in this order, on shortest paths."""
     goals_within_m: float = 0.0
-    """Largest distance between a goal and the place that the person actually walked to [m]; 0 = exact."""
+    """Largest distance between a goal and the position to which the person actually walked [m]; 0 = exact."""
     goals_complete: bool = True
     """True if the person needs no further goal in ``max_steps``; False where an episode ended early."""
     floor_y: float = 0.0
@@ -42,9 +42,9 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Source of the scene: generator and seed, or file."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Speeds, distances and so on, as ``SocialNavSpec`` names them."""
+    """Rules of the episode, such as speeds and distances, by the field names of ``SocialNavSpec``."""
     recording: str = ""
-    """Identity (uid) of the recording that the episode was taken from."""
+    """Identity (uid) of the recording from which the episode was taken."""
 
 
 def social_nav_episode(
@@ -59,7 +59,7 @@ def social_nav_episode(
     """Return a Habitat episode that contains ``nav``, for `write_episodes`; `read_social_nav` is the inverse.
 
     Habitat's own fields hold the robot's start. Its social-navigation task also looks for a target object when it
-    resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
+    resets (spec/habitat.md 1.2); provide one by ``rigid_objects`` and ``targets`` if the file is for use in Habitat.
     """
     require_finite(nav)
     return RearrangeEpisode(

@@ -1,4 +1,7 @@
-"""Complete episodes in Habitat's files: what Habitat samples is in ``info["h3data"]``, which it does not read."""
+"""Complete episodes in Habitat's files.
+
+Values that Habitat would sample are in ``info["h3data"]``, which it ignores.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,13 @@ VERSION = 1
 """Version of the record. A reader refuses a higher one; added fields do not raise it."""
 
 Start = tuple[float, float, float]
-"""Start ``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
+"""Start ``(x, z, heading)`` of an agent: its position on the floor [m], and its heading [rad] as in
+`h3data.geometry`."""
 Record = TypeVar("Record", bound=msgspec.Struct)
 
 
 class StoredEpisode(Protocol):
-    """Fields that the episode records of all tasks have."""
+    """Base of the episode records of all tasks, with their common fields."""
 
     @property
     def seed(self) -> int:
@@ -37,34 +41,37 @@ class StoredEpisode(Protocol):
 
     @property
     def scene_source(self) -> Mapping[str, Any]:
-        """Source of the scene: a generator and its seed, or a file; empty if it is the scene that the episode's file names."""
+        """Source of the scene: a generator and its seed, or a file; empty if the episode's file names the scene."""
         ...
 
 
 def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
-    """Return the start of an agent in Habitat's own fields. Its agents look along -Z in their own frame, ours along +X."""
+    """Return the start of an agent in Habitat's fields.
+
+    Habitat's agents look along -Z in their own frame, h3data's along +X.
+    """
     x, z, heading = start
     rotation = quat_from_heading(heading - math.pi / 2)
     return {"start_position": (x, floor_y, z), "start_rotation": tuple(float(part) for part in rotation)}
 
 
 def info_block(task: str, record: StoredEpisode) -> dict[str, Any]:
-    """Return the ``info`` of a Habitat episode that carries a record of a task."""
+    """Return the ``info`` of a Habitat episode that contains a record of a task."""
     return {KEY: {"task": task, "version": VERSION, **plain(msgspec.to_builtins(record))}}
 
 
 def task_of(episode: RearrangeEpisode) -> str | None:
-    """Return the task of the record that an episode carries; None if it carries none."""
+    """Return the task of the record in an episode, or None if it has no record."""
     block = episode.info.get(KEY)
     task = block.get("task") if isinstance(block, dict) else None
     return task if isinstance(task, str) else None
 
 
 def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) -> Record | None:
-    """Return the record of a task that an episode carries; None if it carries none of this task.
+    """Return the record of a task in an episode, or None if it has no record of this task.
 
     Raises:
-        FormatError: it is damaged or from a newer version.
+        FormatError: the record is damaged or from a newer version.
     """
     if task_of(episode) != task:
         return None
@@ -83,10 +90,10 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
 
 
 def plain(value: Any) -> Any:
-    """Return the value in the form in which a file returns it: lists for tuples.
+    """Convert a value to the form in which it is read back from JSON, with lists for tuples.
 
     Raises:
-        InputError: JSON cannot hold it.
+        InputError: the value cannot be stored in JSON.
     """
     try:
         return json.loads(json.dumps(value, allow_nan=False))

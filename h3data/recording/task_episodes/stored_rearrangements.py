@@ -1,6 +1,6 @@
 """Rearrangement episodes in Habitat's files: positions and goals of objects, and starts of the agents.
 
-Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
+Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; h3data's files hold all of these under
 ``info["h3data"]`` (`h3data.recording.task_episodes.stored_episodes`). Both are read as one record.
 """
 
@@ -37,14 +37,14 @@ TASK = "rearrange"
 
 
 class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Object and its goal; also an entry of a recording's ``info["goals"]``."""
+    """Object and its goal, as in a recording's ``info["goals"]``."""
 
     object: str
     """Name of the instance in the scene."""
     start: list[float]
-    """Pose (pose7) in the world at the beginning."""
+    """Pose (pose7) in the world at the start."""
     position: list[float]
-    """Goal of the object's origin, [3] [m]."""
+    """Goal position of the object's origin in the world, shape [3] [m]."""
     source: str = msgspec.field(name="from")
     """Receptacle on which the object lies, ``instance|receptacle``; empty if unknown."""
     destination: str = msgspec.field(name="to")
@@ -53,7 +53,7 @@ class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
-    """An object that the episode adds to the scene."""
+    """Object that the episode adds to the scene."""
 
     name: str
     """Name of the object's instance, Habitat's handle: ``024_bowl_:0000``."""
@@ -64,7 +64,7 @@ class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
-    """Rearrangement in a file: the information that a simulator needs besides the scene."""
+    """Rearrangement episode in a file, with all data that a simulator needs besides the scene."""
 
     goals: tuple[StoredGoal, ...]
     placements: tuple[Placement, ...] = ()
@@ -77,19 +77,19 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     object_paths: tuple[str, ...] = ()
     """Folders with the templates of ``objects``."""
     com_frames: bool = False
-    """True if ``goals`` are poses of the centers of mass, as Habitat's, instead of the assets' origins."""
+    """True if ``goals`` are poses of the centers of mass, as in Habitat, instead of the assets' origins."""
     floor_y: float = 0.0
     """Height of the floor [m]."""
     seed: int = 0
     robot: str = ""
-    """Model of the robot, such as ``robot/quad_arm``; empty: the default one."""
+    """Model of the robot, such as ``robot/quad_arm``; empty for the default robot."""
     human: str = ""
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Fields of ``RearrangeSpec``; empty: its defaults."""
+    """Rules of the episode by the field names of ``RearrangeSpec``; missing rules have their defaults."""
     recording: str = ""
-    """Identity (uid) of the recording that the episode was taken from."""
+    """Identity (uid) of the recording from which the episode was taken."""
     sampled_sha256: str = ""
     """`content_digest` of an episode that follows from its seed alone; it shows whether the episode has been edited."""
     instruction: str = ""
@@ -125,9 +125,9 @@ def rearrangement_entry(
     name_to_receptacle: Mapping[str, str] | None = None,
     object_paths: Sequence[str] = (),
 ) -> RearrangeEpisode:
-    """Return a Habitat episode that carries a record for `write_episodes`; `read_rearrangement` reads the record.
+    """Return a Habitat episode that contains a record, for `write_episodes`; `read_rearrangement` reads the record.
 
-    Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
+    Habitat itself uses ``rigid_objects`` (in the order of their configs) and ``targets``, which
     `h3data_habitat.exporters.episodes` fills in; h3data needs neither.
     """
     require_finite(record)

@@ -15,8 +15,7 @@ from h3data.plugins import Registry
 from h3data.scene.records import LightSource, Scene, instance_bounds
 
 BAKERS: Registry[Callable[..., Any]] = Registry("h3data.lights", {}, what="light")
-"""Functions that light a scene: from meshes, instances, numbers of static instances, and `LightSources` to a lit
-scene."""
+"""Functions that compute a lit scene from meshes, instances, indices of static instances, and `LightSources`."""
 LightMode = Literal["baked", "flat"]
 """Kind of light. ``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light
 everywhere."""
@@ -36,20 +35,20 @@ def check_light(light: object) -> None:
 
 @dataclass(frozen=True)
 class Window:
-    """A window pane: an upright rectangle through which sky light enters."""
+    """Window pane: an upright rectangle through which sky light enters."""
 
     center: NDArray[np.float64]
     half_u: NDArray[np.float64]
-    """Horizontal half side, shape [3] [m]."""
+    """Vector of half the horizontal side, shape [3] [m]."""
     half_v: NDArray[np.float64]
-    """Vertical half side, shape [3] [m]."""
+    """Vector of half the vertical side, shape [3] [m]."""
     across: NDArray[np.float64]
-    """Unit normal; the bake finds out which side is indoors."""
+    """Unit normal of the pane, shape [3]; the bake determines which side is indoors."""
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point light."""
+    """Point light source."""
 
     position: NDArray[np.float64]
     power: NDArray[np.float64]
@@ -58,22 +57,22 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LightSources:
-    """All light of a scene. Names are those of instances."""
+    """All light sources of a scene, some of which are given by names of instances."""
 
     windows: tuple[Window, ...] = ()
     lamps: tuple[Lamp, ...] = ()
     suns: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...] = ()
-    """Further suns, each a direction towards it and a linear RGB irradiance."""
+    """Additional suns, each a unit vector towards the sun and a linear RGB irradiance."""
     glass: frozenset[str] = field(default_factory=frozenset)
     """Instances of window panes, which let the sun through and look bright."""
     glowing: frozenset[str] = field(default_factory=frozenset)
     """Instances of lamps, which cast no shadow and look bright."""
     glossy: frozenset[str] = field(default_factory=frozenset)
-    """Instances of floors of varnished wood and glazed tile, which mirror a little."""
+    """Instances of floors of varnished wood and glazed tile, which reflect slightly."""
 
 
 def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
-    """Return the light sources of a scene: panes of instances of the category ``window``, lamps, and the lights of its file.
+    """Return the light sources of a scene: window panes, lamps, and the lights of its file.
 
     Lights that cannot be used (NaN, negative power) are left out, with a warning that names the light and the ``file``.
     """

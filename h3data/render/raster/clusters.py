@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 CLUSTER_TRIANGLES = 96
-"""Largest cluster. At most 128, because a pixel's word keeps 7 bits for it; 48 and 192 measured the same within noise."""
+"""Largest number of triangles in a cluster, at most 128 because a pixel's word has 7 bits for it. Values of 48 and 192
+were equally fast."""
 
 
 class Clusters(NamedTuple):
-    """The clusters of one mesh."""
+    """Clusters of the triangles of one mesh."""
 
     packets: NDArray[np.float32]
-    """Triangle soup, shape [P, 9, 8] [m]."""
+    """Vertices of the triangles in packets, shape [P, 9, 8] [m]."""
     triangles: NDArray[np.int32]
     """Mesh triangle of every lane, -1 = padding, shape [P, 8]."""
     first: NDArray[np.int32]
@@ -39,7 +40,7 @@ def build_clusters(
 ) -> Clusters:
     """Build the clusters of a mesh [V, 3], [F, 3] by median splits of the triangles' centres along the longest axis.
 
-    Triangles with holes (``cut_out`` [F]) get clusters of their own.
+    Triangles with holes (``cut_out`` [F]) get separate clusters.
     """
     centroids = _centroids(vertices, faces)
     if cut_out is None or not cut_out.any():
@@ -161,10 +162,11 @@ def _corners(faces, triangles, first):
 
 
 def cluster_vertices(clusters: Clusters) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
-    """List the vertices of each cluster once, for meshes that deform: a fifth of their corners.
+    """List the vertices of each cluster once, for meshes that deform; this is a fifth of the corners of triangles.
 
     Returns:
-        Vertices of all clusters one after another, and the first of each cluster, followed by their number [C + 1].
+        Vertices of all clusters in sequence, and the index of the first one of each cluster, followed by their number
+        [C + 1].
     """
     sizes = np.diff(clusters.first)
     cluster = np.repeat(np.arange(len(sizes), dtype=np.int64), 24 * sizes)
@@ -175,7 +177,7 @@ def cluster_vertices(clusters: Clusters) -> tuple[NDArray[np.uint32], NDArray[np
 
 @kernel(boundscheck=False)
 def fill_packets(vertices, corners, packets):
-    """Fill packets [P, 9, 8] for vertices [V, 3]; deformed meshes keep their clusters."""
+    """Fill packets [P, 9, 8] for vertices [V, 3]; the clusters of deformed meshes do not change."""
     for p in range(len(corners)):
         for k in range(3):
             for lane in range(8):
@@ -187,7 +189,7 @@ def fill_packets(vertices, corners, packets):
 
 @kernel(boundscheck=False)
 def fill_boxes(vertices, members, starts, center, half):
-    """Fill boxes [C, 3] around the vertices of each cluster: ``members[starts[c] : starts[c + 1]]``."""
+    """Fill the bounding boxes [C, 3] [m] of clusters with the vertices ``members[starts[c] : starts[c + 1]]``."""
     for c in range(len(starts) - 1):
         v = members[starts[c]]
         x0 = x1 = vertices[v, 0]
@@ -215,8 +217,8 @@ def enclosing_box(center: NDArray[np.float64], half: NDArray[np.float64]) -> NDA
 def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.int32]:
     """Return the group of each vertex, shape [V]; vertices with equal positions and normals share a group.
 
-    So vertices duplicated for a texture seam keep a common normal when the mesh deforms, and those duplicated for a sharp
-    edge do not.
+    Vertices that are duplicated for a texture seam therefore have a common normal when the mesh deforms, and vertices
+    that are duplicated for a sharp edge do not.
     """
     if not len(vertices):
         return np.zeros(0, np.int32)
@@ -229,7 +231,7 @@ def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -
 def smooth_normals(vertices, faces, groups, sums, normals):
     """Fill ``normals`` [V, 3] with unit vertex normals: face normals weighted by area and summed over each group.
 
-    ``sums`` float32 [groups, 3] is scratch.
+    ``sums`` float32 [groups, 3] is a temporary buffer.
     """
     sums[:] = 0
     for f in range(len(faces)):

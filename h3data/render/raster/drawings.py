@@ -1,4 +1,4 @@
-"""`Drawings`: the buffers of one thread, and what they show, so that a camera that stands still draws only what has changed."""
+"""Image buffers of one thread with a record of their contents, so that a static camera renders only changes."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from h3data.render.raster.raster import Target, View, new_target
 from h3data.render.shade.shading import KeptPicture
 
 _REMEMBERED = 32
-"""Number of images after which an unused camera loses its buffers; views are remembered to recognize cameras that stand
-still."""
+"""Number of images after which an unused camera loses its buffers; views are remembered to recognize static cameras."""
 
 
 class Shown(NamedTuple):
-    """Part of a world's state on which pictures depend."""
+    """Part of a world's state on which images depend."""
 
     matrix: NDArray[np.float64]
-    """Mesh to world of every instance, shape [I, 3, 4]."""
+    """Matrix from mesh to world of every instance, shape [I, 3, 4]."""
     visible: NDArray[np.bool_]
     """True if the camera sees the instance, shape [I]."""
     vertices: dict[int, NDArray[np.float32]]
-    """Vertices of the deformed meshes."""
+    """Vertices [V, 3] [m] of the deformed meshes, by mesh."""
     tints: NDArray[np.float32]
-    """`Blockers.tints`, shape [I, 4]; 1 without blockers."""
+    """Factors on the colours of instances (`Blockers.tints`), shape [I, 4]; 1 without blockers."""
 
 
 @dataclass(eq=False)
 class Drawing:
-    """Target of a camera, with a record of what it shows."""
+    """Image buffers of a camera, with a record of their contents."""
 
     target: Target
     stands: bool = False
-    """True if the drawing is that of a camera that stands still."""
+    """True if the buffers belong to a static camera."""
     shown: Shown | None = None
-    """Image that the next one can begin with; None if there is none, as for all cameras that move."""
+    """State in the last image, from which the next image can start; None if there is none, as for all moving
+    cameras."""
     picture: KeptPicture | None = None
-    """The picture of what the target shows."""
+    """Shaded image of the current contents of the buffers."""
     last_used: int = 0
 
     def changed(self, now: Shown | None, mesh: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return the instances, whose meshes are ``mesh`` [I], that differ from those of the last image, [I]; [0] for all."""
+        """Return which instances [I] differ from the last image, for their meshes ``mesh`` [I]; shape [0] means all."""
         before = self.shown
         if before is None or now is None:
             return np.zeros(0, np.bool_)
@@ -60,7 +60,7 @@ class Drawing:
 
 @dataclass(eq=False)
 class Drawings:
-    """Drawings of one thread by view: one for each camera that stands still, and one for each size that all others share."""
+    """Image buffers of one thread: one for each static camera, and one for each image size, which all moving cameras share."""
 
     still: dict[bytes, Drawing] = field(default_factory=dict)
     moving: dict[tuple[int, int], Drawing] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Visibility tests of objects in a picture: convex hulls of spheres against the sides of a camera's view."""
+"""Visibility tests of objects in an image, by convex hulls of spheres and the sides of a camera's view."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from h3data.kernels import kernel
 from h3data.render.camera import Camera
 
 MARGIN_M = 1e-3
-"""Distance [m] beyond a side of the view within which something still counts as seen: more than float32 rounds off."""
+"""Distance beyond a side of the view within which objects count as visible [m], larger than rounding errors of
+float32."""
 
 
 def may_see(camera: Camera, centers: Array, radii: Array, starts: NDArray[np.intp]) -> bool:
-    """Return whether convex hulls of spheres may be in the picture of ``camera``.
+    """Return whether convex hulls of spheres may be visible in the image of ``camera``.
 
     Args:
-        camera: The camera. Those whose view has no planes as its sides (fisheye, equirectangular) may see everything.
+        camera: The camera. The result is always True for fisheye and equirectangular cameras, whose views have no
+            planes as sides.
         centers: World centres of the spheres, shape [K, 3] [m].
-        radii: Their radii, shape [K] [m].
+        radii: Radii of the spheres, shape [K] [m].
         starts: The first sphere of each hull, shape [G], then K.
 
     Returns:
-        False only if each hull lies wholly beyond one side of the view: an edge of the picture, ``near`` or ``far``.
+        False only if each hull lies wholly beyond one side of the view: an edge of the image, ``near`` or ``far``.
     """
     if not camera.is_planar:
         return True

@@ -1,4 +1,4 @@
-"""Depth, ids and triangles from a rendered target."""
+"""Kernels that read depth, ids and triangles from a rendered target."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read_depth(inv_z, depth):
 
 @kernel(boundscheck=False)
 def read_parallel_depth(nearness, reach, depth):
-    """Fill ``depth`` [H, W] as `read_depth` does, for an orthographic camera."""
+    """Fill ``depth`` [H, W] with the z-depth of each pixel [m] for an orthographic camera; 0 in the background."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             w = nearness[y, x]

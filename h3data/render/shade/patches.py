@@ -1,4 +1,4 @@
-"""Smooth patches: triangles across whose common edges nothing that is drawn changes abruptly."""
+"""Smooth patches: groups of triangles across whose shared edges the image is continuous."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from h3data.geometry import normalized
 from h3data.render.shade.surface import Surface
 
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
-"""Odd numbers with well-mixed bits."""
+"""Odd factors with well-mixed bits, for hashing."""
 
 
 def smooth_patches(
     surface: Surface, vertices: Sequence[NDArray[np.float32]], first_face: NDArray[np.int64]
 ) -> NDArray[np.int32]:
-    """Return the number of each triangle's patch, for all meshes one after another, shape [F].
+    """Return the index of each triangle's smooth patch, for all meshes in sequence, shape [F].
 
-    Two triangles of a mesh that share an edge belong to one patch if the ends of the edge are the same for both: place,
-    colour, normal, texture coordinates and gloss; where a mesh has no normals, the triangles also have to face the same
-    way. The picture is continuous across such an edge.
+    Two triangles of a mesh that share an edge belong to one patch if the ends of the edge are the same for both:
+    position, colour, normal, texture coordinates and gloss; where a mesh has no normals, the triangles also have to
+    face the same way. The image is continuous across such an edge.
 
     Args:
         surface: Attributes of all meshes.

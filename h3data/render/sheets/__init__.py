@@ -1,1 +1,1 @@
-"""People side by side, and scenes from above and at eye level, for commands, docs and reports."""
+"""Overview images for commands, docs and reports: people side by side, and scenes from above and at eye level."""

@@ -1,4 +1,4 @@
-"""People in postures, side by side in one picture."""
+"""Images of people in postures, side by side."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def lined_up(
     """Render people in given poses, side by side from left to right, RGB [H, W, 3].
 
     Args:
-        poses: Body, joint rotations [1, 55, 4] and pelvis position [1, 3] of each person.
-        heading: Heading of all of them [rad].
-        lod: True shows the reduced meshes.
+        poses: Body, local joint rotations [1, 55, 4] and pelvis position [1, 3] [m] of each person.
+        heading: Heading of all people [rad].
+        lod: True to render the simplified meshes.
         places: Number of places in the row, at least the number of people.
         width: Width of the image [px].
         spacing: Distance between neighbours [m].
-        row_m: Height that the image shows [m].
+        row_m: Height of the visible part of the row [m].
         props: Objects beside each person, in their agent root frame.
     """
     meshes, positions = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from h3data.scene.freespace.free_space import FreeSpace
 
 PAPER = (250, 250, 248)
-"""Colour of a plan outside of everything."""
+"""Colour of a plan outside the scene."""
 
 
 def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
@@ -61,7 +61,7 @@ def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> Rende
 
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
-    """Return the scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
+    """Return an image of the scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
     low, high = scene.bounds
     if scene.rooms:
         rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in scene.rooms])
@@ -103,7 +103,7 @@ def eye_level_camera(
     """Return a camera at a height of 1.55 m in a corner of a room's free floor, looking across the room.
 
     Among the far corners, the one with the most open view is chosen. ``room`` defaults to the largest; a scene without
-    rooms counts as one room.
+    rooms is treated as one room.
 
     Raises:
         InputError: there is no such room, or no free floor in it.

@@ -1,4 +1,4 @@
-"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a check of the nearest ones."""
+"""Numba kernels of distances from any point to fixed goals, by a table of all corners and a check of the nearest ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from h3data.kernels import kernel
 from h3data.scene.freespace._visibility import Graph, locate, nearest_free, sees, tangent_nodes, visible_nodes
 
 TOUCH_M = 1e-7
-"""Distance below which a point is on a corner [m]."""
+"""Distance below which a point counts as being on a corner [m]."""
 
 
 @kernel()
@@ -34,7 +34,8 @@ def field_at(
 ) -> tuple[float, float, float]:
     """Return the distance [m] from (x, z) to the nearest goal, and the unit direction (dx, dz) of the shortest path to it.
 
-    ``corner`` are the `corner_distances` of the goals. No path: inf and NaN. In the goal the direction is zero.
+    ``corner`` holds the `corner_distances` of the goals. Without a path, the distance is infinite and the direction
+    NaN. At a goal the direction is zero.
     """
     island = locate(graph, x, z)
     if island < 0:
@@ -71,7 +72,7 @@ def field_at(
 
 @kernel()
 def field_many(graph: Graph, corner: NDArray, goals: NDArray, points: NDArray, max_snap: float) -> NDArray:
-    """Return distance and direction [N, 3] at points [N, 2], as `field_at`."""
+    """Return distances [m] and unit directions (dx, dz) to the nearest goal, [N, 3], at points [N, 2] [m]."""
     out = np.empty((len(points), 3))
     for k in range(len(points)):
         out[k, 0], out[k, 1], out[k, 2] = field_at(graph, corner, goals, points[k, 0], points[k, 1], max_snap)

@@ -1,4 +1,4 @@
-"""Outlines of collision shapes on the floor: the part of each convex shape in a band of heights, as polygons."""
+"""Outlines on the floor of the part of each collision shape within a range of heights, as polygons."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from h3data.scene.records import Capsule, Instance, Room, Scene, Shape, instance
 from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
 WALL_HALF_M = 0.06
-"""Half the thickness of walls around stairwells [m]: the stairwell's floor ends in the middle of the wall, and so does
-that of the rooms beyond."""
+"""Half the thickness of walls around stairwells [m]: the floors of the stairwell and of the rooms beyond both end in
+the middle of the wall."""
 WALL_GAP_M = 0.3
-"""Largest width of gaps between the rectangles of rooms that are wall or doorway, and belong to the floor [m]; walls
-then cut it."""
+"""Largest width of gaps between the rectangles of rooms that are walls or doorways and count as floor [m]; walls are
+then removed as obstacles."""
 
 
 def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high: float) -> Polygon | None:
-    """Return the outline (x, z) of the part of a shape between two heights [m], or None when nothing is there.
+    """Return the outline (x, z) of the part of a shape between two heights [m], or None if no part is in the range.
 
     Args:
         shape: A convex shape in its asset frame.
         matrix: 4x4 from asset frame to world, scale included.
-        low: Lower end of the band of heights.
-        high: Upper end.
+        low: Lower end of the range of heights [m].
+        high: Upper end of the range of heights [m].
     """
     if not isinstance(shape, Capsule):
         return _hull_polygon(_clip_to_band(transform_points(matrix, shape_corners(shape)), low, high))
@@ -47,7 +47,7 @@ def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high:
 
 
 def scene_obstacles(scene: Scene, low: float, high: float) -> list[Polygon]:
-    """Return the outlines of every shape of the static instances that reaches into the band of heights [m]."""
+    """Return the outlines of all shapes of static instances that reach into a range of heights [m]."""
     return [o for instance in scene.static_instances for o in _instance_footprints(scene, instance, low, high)]
 
 
@@ -70,7 +70,7 @@ def rooms_floor(rooms: tuple[Room, ...]) -> BaseGeometry:
 
 
 def rooms_level(rooms: tuple[Room, ...]) -> float:
-    """Return the height of the floor on which the most room area lies [m]."""
+    """Return the height of the floor with the largest total area of rooms [m]."""
     area: dict[float, float] = {}
     for room in rooms:
         r = np.asarray(room.rectangles, np.float64)

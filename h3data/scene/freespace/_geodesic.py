@@ -13,10 +13,11 @@ from h3data.scene.freespace._visibility import Graph, locate, nearest_free, sees
 def geodesic_pair(
     graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float
 ) -> tuple[float, int, int, float, float, float, float]:
-    """Return the length of the shortest path [m] (inf: none), its end nodes (-1: straight), and the two ends as snapped.
+    """Return the length of the shortest path [m] (inf: none), its end nodes (-1: straight), and the two snapped ends.
 
-    Best first: of all pairs of corners beside the ends the one with the shortest way is looked at, and dropped if an end
-    does not see its corner. Looking is dear, and mostly the first pair is seen.
+    The search is best-first: of all pairs of corners near the ends, the pair with the shortest path is tested, and
+        dropped if an end does not see its corner. Tests of visibility are expensive, and usually the first pair is
+        visible.
     """
     island, other = locate(graph, ax, az), locate(graph, bx, bz)
     if island < 0:
@@ -72,7 +73,7 @@ def first_leg(
 ) -> tuple[float, float, float]:
     """Return the length of the shortest path [m] and ``(x, z)`` of its first waypoint farther than ``beyond`` from a.
 
-    If no waypoint is, it is the end of the path. The length is infinite if there is no path.
+    If no waypoint is farther, the end of the path is returned. The length is infinite if there is no path.
     """
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
@@ -88,7 +89,7 @@ def first_leg(
 
 @kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
-    """Return the waypoints of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
+    """Return the waypoints of the shortest path, both ends included, shape [k, 2]; k = 0 if there is no path."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
         return np.empty((0, 2))

@@ -1,4 +1,4 @@
-"""Numba kernels of the quick two-point distance: all pairs of a coarse lattice, and a look-up through both ends' nodes."""
+"""Numba kernels of approximate distances between two points, by a table of all pairs of nodes of a coarse lattice."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from h3data.scene.freespace._sdf import line_of_sight
 from h3data.scene.freespace._visibility import Graph, locate, sees, visible_nodes
 
 NEAR_M = 3.0
-"""Length [m] below which paths around corners are computed exactly: the lattice's error reaches 10 % there, rarely beyond."""
+"""Length of paths around corners below which they are computed exactly [m], because the lattice's error reaches 10%."""
 
 
 def lattice_step(area_m2: float) -> float:
@@ -92,7 +92,7 @@ def _islands(graph: Graph, origin: NDArray, step: float, nx: int, nz: int) -> ND
 
 
 def build_lattice(graph: Graph, bounds: tuple[float, float, float, float], *, step: float) -> Lattice:
-    """Return the table for a free area with ``bounds`` (x0, z0, x1, z1)."""
+    """Compute the lattice of a free area with ``bounds`` (x0, z0, x1, z1) [m]."""
     x0, z0, x1, z1 = bounds
     origin = np.array([x0, z0])
     nx, nz = max(1, int(np.ceil((x1 - x0) / step))), max(1, int(np.ceil((z1 - z0) / step)))
@@ -151,7 +151,8 @@ def lattice_distance(
     """Return the approximate length of the shortest path from a to b [m].
 
     It is never too short by more than the slack of the line of sight; its median error is 0.1%, and the largest errors
-    occur next to corners at short range. It is infinite if the table does not connect a and b; the exact graph may.
+    occur next to corners at short range. It is infinite if the table does not connect a and b; although the exact graph
+    may do so.
     """
     if line_of_sight(sdf, origin, cell, radius, ax, az, bx, bz):
         return np.hypot(bx - ax, bz - az)
@@ -182,7 +183,7 @@ def quick_distance(
     bz: float,
     max_snap: float,
 ) -> float:
-    """Return the length of the shortest path from a to b [m]: by the lattice, and exact where that could be far off."""
+    """Return the length of the shortest path from a to b [m], by the lattice, or exactly where its error could be large."""
     length = lattice_distance(sdf, origin, cell, radius, lattice, ax, az, bx, bz)
     if (length < NEAR_M and length > np.hypot(bx - ax, bz - az)) or length == np.inf:
         return geodesic_pair(graph, ax, az, bx, bz, max_snap)[0]
@@ -201,7 +202,7 @@ def quick_distance_many(
     ends: NDArray,
     max_snap: float,
 ) -> NDArray:
-    """Return lengths [N] [m] between points [N, 2], as `quick_distance`."""
+    """Return lengths [N] [m] of shortest paths between points [N, 2], as `quick_distance` does."""
     out = np.empty(len(starts))
     for k in range(len(starts)):
         out[k] = quick_distance(

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 
 SNAP_M = 0.3
-"""Largest distance of the end of a path from the free area [m]: it is moved to its border first, as Habitat snaps
-it."""
+"""Largest distance of the end of a path from the free area [m], within which the end is moved to its border, as in
+Habitat."""
 
 
 def floor_points(points: ArrayLike) -> NDArray[np.float64]:

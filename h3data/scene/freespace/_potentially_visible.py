@@ -1,8 +1,8 @@
 """Numba kernel of potentially visible sets: for every bucket of a floor, the corners that may be visible from within it.
 
-A taut string leaves a corner only inside a wedge on either side of it, and of that wedge walls hide most. Of hundreds of
-corners about ten are left per bucket, so that a query looks at those alone. A set never misses a corner (it is
-conservative), so what comes out of the query is the same as with all corners.
+A taut string leaves a corner only inside a wedge on either side of it, and walls hide most of that wedge. Of hundreds
+of corners, about ten remain per bucket, so a query tests only these. A set never misses a corner (it is conservative),
+so the result of a query is the same as with all corners.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from h3data.kernels import kernel
 
 INFLATE_M, MERGE_RAD = 1e-3, 1e-7
 """Distance by which buckets are enlarged on all sides, ten times what a point may lie outside the free area [m]; and
-angle below which gaps between blocked angles are ignored: 3 um at 30 m, where the blocking edges stand back 0.1 mm."""
+angle below which gaps between blocked angles are ignored: 3 um at 30 m, while the blocking edges are offset by 0.1
+mm."""
 
 
 @kernel()
@@ -165,7 +166,7 @@ def potentially_visible(
 
     Only the buckets ``used`` [bx, bz] have corners.
 
-    ``nodes``, ``before``, ``after``, ``first``, ``edges`` and ``edge_island`` are those of `Graph`.
+    ``nodes``, ``before``, ``after``, ``first``, ``edges`` and ``edge_island`` are the fields of `Graph`.
     """
     nx, nz = used.shape
     cells = np.argwhere(used)

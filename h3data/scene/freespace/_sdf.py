@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel, kernel_part
 
 SLACK_M = 0.004
-"""Distance by which a line of sight may come nearer than the radius [m]: the error of bilinear look-up on a 5 cm grid
-beside a surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
+"""Tolerance of the clearance of a line of sight [m], which is the error of bilinear look-up on a 5 cm grid near a
+surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
 HIT_M = 0.002
 """Distance from an obstacle at which a ray of a laser scanner ends [m]."""
 RAY_STRIDE_M = 0.01
-"""Shortest stride of a scanner's ray at its start, and its growth per metre of the ray."""
+"""Shortest stride of a scanner's ray at its start [m], and its growth per metre of the ray."""
 RAY_STRIDE_GROWTH = 0.005
 RAY_STRIDES = 64
 """Largest number of strides of a scanner's ray, with which 99.7% of rays in furnished homes are within 5 cm, half of
@@ -38,7 +38,7 @@ def _clipped(value: float, most: float) -> float:
 
 @kernel(inline="always")  # called, it would count references to its arrays: stepping takes a quarter longer
 def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> float:
-    """Return the signed distance [m] at the floor point (x, z), bilinear.
+    """Return the signed distance [m] at the floor point (x, z), by bilinear interpolation.
 
     Off the grid it is the border value minus the distance to the border.
     """
@@ -83,7 +83,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
-    """Return whether a disc of ``radius`` [m] can move straight from a to b, by sphere tracing, to about 5 mm of clearance."""
+    """Return whether a disc of ``radius`` [m] can move straight from a to b, by sphere tracing, with 5 mm of tolerance."""
     length = np.hypot(bx - ax, bz - az)
     if length == 0.0:
         return sample_sdf(sdf, origin, cell, ax, az) >= radius - SLACK_M
@@ -161,7 +161,7 @@ def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, 
 def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
     """Return whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
 
-    One scan line per row of cells flips everything behind each crossing.
+    A scan line per row of cells inverts all cells behind each crossing.
     """
     flips = np.zeros((nx, nz + 1), np.uint8)
     for e in range(len(edges)):
@@ -191,8 +191,8 @@ def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) 
 def sdf_from_edges(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
     """Return the exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
 
-    Blocks of cells share one list of edges that can be nearest to any of them: an edge farther from the middle of a
-    block than the nearest one plus the block's diameter cannot be.
+    Blocks of cells share a list of edges that can be nearest to any of their cells. An edge cannot be nearest if it is
+    farther from the middle of the block than the nearest edge plus the block's diameter.
     """
     size = 12
     sdf = np.empty((nx, nz), np.float32)

@@ -1,8 +1,9 @@
 """Numba kernels of visibility among polygons: buckets of edges, point location, the corners that a point sees.
 
-The free area is used twice: its corners are the nodes, and the edges of the same area *grown by* `GROW_M` block the view.
-A taut string runs along walls and through corners, where crossing tests on the area itself are a coin toss; against the
-grown area no right segment comes near an edge, so the tests need no special cases (and a point 0.1 mm outside is inside).
+The free area is used twice: its corners are the nodes, and the edges of the same area *grown by* `GROW_M` block the
+view. A taut string runs along walls and through corners, where crossing tests on the area itself would depend on
+rounding. In the grown area no valid segment comes near an edge, so the tests need no special cases (and a point 0.1 mm
+outside is inside).
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ GROW_M = 1e-4
 
 
 class Graph(NamedTuple):
-    """Visibility graph of a free area, all islands; nodes are its reflex corners, ordered by island."""
+    """Visibility graph of all islands of a free area, whose nodes are its reflex corners, ordered by island."""
 
     nodes: NDArray[np.float64]
     """Corners of the graph (x, z), shape [n, 2] [m]."""
     before: NDArray[np.float64]
-    """Corner before each node on its ring (free area on the left), shape [n, 2]."""
+    """Corner before each node on its ring (free area on the left), shape [n, 2] [m]."""
     after: NDArray[np.float64]
-    """Corner after each node, shape [n, 2]."""
+    """Corner after each node on its ring, shape [n, 2] [m]."""
     first: NDArray[np.int64]
     """First node of each island, shape [islands + 1]: island k has the nodes ``first[k]:first[k + 1]``."""
     distance: NDArray[np.float32]
@@ -52,10 +53,10 @@ class Graph(NamedTuple):
     bucket_origin: NDArray[np.float64]
     """Lower corner of bucket [0, 0], shape [2] [m]."""
     bucket_size: NDArray[np.float64]
-    """Side of a bucket, shape [1] [m]."""
+    """Side of a bucket, as an array of shape [1] [m]."""
     visible_start: NDArray[np.int32]
-    """First visible node of each bucket: a taut string from within bucket b reaches one of
-    ``visible_nodes[visible_start[b]:visible_start[b + 1]]`` first (the list has some more)."""
+    """First visible node of each bucket: a taut string that starts in bucket b first reaches one of
+    ``visible_nodes[visible_start[b]:visible_start[b + 1]]`` (the list has some further nodes)."""
     visible_nodes: NDArray[np.int32]
 
 
@@ -64,7 +65,7 @@ def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx
     """Return whether segments a-b and c-d cross.
 
     Segments are half-open: a line through a shared end point of two edges that lie on its two sides crosses exactly one
-    of them, so that nothing slips through a vertex.
+    of them, so that no line passes through a vertex.
     """
     a = (dx - cx) * (az - cz) - (dz - cz) * (ax - cx)
     b = (dx - cx) * (bz - cz) - (dz - cz) * (bx - cx)
@@ -157,7 +158,7 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
 def locate(graph: Graph, x: float, z: float) -> int:
     """Return the island of a point, -1 = not free.
 
-    It is the label of the bucket's middle, changed at every edge between the middle and the point.
+    It is computed from the label of the bucket's middle, which changes at every edge between the middle and the point.
     """
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
@@ -192,7 +193,7 @@ def locate(graph: Graph, x: float, z: float) -> int:
 
 @kernel()
 def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple[float, float, int]:
-    """Return (x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
+    """Return (x, z, island) of the free point nearest to (x, z); island -1 and NaN if there is none within reach."""
     island = locate(graph, x, z)
     if island >= 0:
         return x, z, island
@@ -218,7 +219,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
 def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
     """Return whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
 
-    ``slack`` [m]: how far (x, z) may be off; a point just outside a wall must still find the corners along it.
+    ``slack`` is a tolerance for (x, z) [m], because a point just outside a wall must still find the corners along it.
     """
     vx, vz = graph.nodes[node]
     ux = vx - x
@@ -274,7 +275,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and their distances."""
+    """Return nodes at which a taut string from a free point (x, z) could bend first, visible or not, and distances [m]."""
     nodes, candidates = graph.nodes, graph.visible_nodes
     b = bucket_of(graph, x, z)
     size = graph.visible_start[b + 1] - graph.visible_start[b]
@@ -292,7 +293,7 @@ def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
-    """Return nodes that a taut string from a free point (x, z) can reach first, and their distances."""
+    """Return nodes that a taut string from a free point (x, z) can reach first, and their distances [m]."""
     found, away = tangent_nodes(graph, x, z)
     count = 0
     for k in range(len(found)):

@@ -1,4 +1,4 @@
-"""Construction of the visibility graph of a free area (shapely), with every edge checked twice."""
+"""Construction of the visibility graph of a free area (shapely), in which every edge is checked twice."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data.scene.freespace._visibility import GROW_M, Graph, bucket_edges, visi
 
 
 def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
-    """Return the polygons of any geometry, largest first."""
+    """Return the polygons in a shapely geometry of any type, largest first."""
     parts = [p for p in shapely.get_parts(area, return_index=False) if isinstance(p, Polygon) and not p.is_empty]
     nested = [q for p in shapely.get_parts(area) if not isinstance(p, Polygon) for q in shapely.get_parts(p)]
     parts += [q for q in nested if isinstance(q, Polygon) and not q.is_empty]
@@ -23,7 +23,7 @@ def polygon_parts(area: shapely.Geometry) -> list[Polygon]:
 
 
 def ring_edges(polygon: Polygon) -> NDArray[np.float64]:
-    """Return the edges ``x0 z0 x1 z1`` [E, 4] of all rings of a polygon, the inside on the left."""
+    """Return the edges ``x0 z0 x1 z1`` [E, 4] of all rings of a polygon, with the inside on the left."""
     corners = [np.asarray(ring.coords)[:, :2] for ring in _rings(polygon)]
     if not corners:
         return np.zeros((0, 4))
@@ -31,7 +31,7 @@ def ring_edges(polygon: Polygon) -> NDArray[np.float64]:
 
 
 def area_edges(area: MultiPolygon) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the edges [E, 4] of all polygons of an area, and the polygon that each belongs to [E]."""
+    """Return the edges [E, 4] of all polygons of an area, and the index of the polygon of each edge [E]."""
     per_part = [ring_edges(p) for p in area.geoms]
     owner = np.repeat(np.arange(len(per_part), dtype=np.int32), [len(e) for e in per_part])
     return np.concatenate([np.zeros((0, 4)), *per_part]), owner
@@ -85,10 +85,11 @@ def build_graph(area: MultiPolygon) -> Graph:
 def edges_inside(
     area: MultiPolygon, starts: NDArray, ends: NDArray, *, tolerance_m: float = 2 * GROW_M
 ) -> NDArray[np.bool_]:
-    """Return whether each segment [K, 2]-[K, 2] stays in the area, bool [K]: an independent check by shapely.
+    """Return whether each segment [K, 2]-[K, 2] stays in the area, bool [K], by an independent test with shapely.
 
-    A strict crossing test lets segments slip through that touch walls only at vertices (32 of 4,025 edges in one home,
-    false detours of 15 %; research/navigation-and-stepping.md 2.3), so every edge of the graph passes here as well.
+    A strict crossing test accepts segments through walls that touch them only at vertices (32 of 4,025 edges in one
+    home, with wrong lengths of paths by 15%; research/navigation-and-stepping.md 2.3). Therefore every edge of the
+    graph must also pass this test.
     """
     if not len(starts):
         return np.zeros(0, bool)

@@ -1,7 +1,7 @@
-"""Numba kernels that find the floor among unordered triangles: voxel columns, then a flood over surfaces one can step onto.
+"""Numba kernels that find the floor among unordered triangles, by voxel columns and a flood fill over walkable surfaces.
 
-After Recast's idea (heightfields; spec/habitat.md names the settings): a surface can be stood on when it is not too steep
-and has headroom, and neighbouring surfaces join when the step between them is no higher than the climb.
+The method is that of Recast (heightfields; spec/habitat.md lists the settings): an agent can stand on a surface that is
+not too steep and has headroom, and neighbouring surfaces are joined if the step between them is not too high.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ def voxel_columns(
 ) -> NDArray:
     """Return columns uint8 [nx, nz, ny] of triangles [F, 3, 3]: 0 nothing, 1 surface, 2 surface flat enough to stand on.
 
-    Exact: every triangle is clipped to every column that it touches. ``origin`` [3] is the lower corner, ``cell`` the
-    side of a column, ``level`` the height of a voxel [m]; steep means a normal whose |y| is below ``steep_cos``.
+    The result is exact, because every triangle is clipped to every column that it touches. ``origin`` [3] is the lower
+    corner, ``cell`` the side of a column, ``level`` the height of a voxel [m]; steep means a normal whose |y| is below
+    ``steep_cos``.
     """
     nx, nz, ny = shape
     columns = np.zeros((nx, nz, ny), np.uint8)
@@ -81,10 +82,10 @@ def voxel_columns(
 
 @kernel()
 def mark_standable(columns: NDArray, head: int, climb: int) -> int:
-    """Mark with 3 every surface voxel that one can stand on; return their number.
+    """Mark with 3 every surface voxel on which an agent can stand; return their number.
 
-    It must be flat and have ``head`` empty voxels above it, or be a low thing (a fin, a ball) that ends no more than
-    ``climb`` voxels above a flat surface of the same column.
+    Such a voxel is flat and has ``head`` empty voxels above it, or belongs to a low object (a fin, a ball) that ends at
+    most ``climb`` voxels above a flat surface of the same column.
     """
     nx, nz, ny = columns.shape
     total = 0
@@ -113,7 +114,10 @@ def mark_standable(columns: NDArray, head: int, climb: int) -> int:
 
 @kernel()
 def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Find connected surfaces among voxels marked 3: (voxel [total, 3] as i j k, its component [total], sizes [C])."""
+    """Find connected surfaces of voxels marked 3.
+
+    Returns voxels [total, 3] as i j k, the component of each [total], and sizes of components [C].
+    """
     nx, nz, ny = columns.shape
     voxel = np.empty((total, 3), np.int32)
     component = np.empty(total, np.int32)
@@ -166,7 +170,7 @@ def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, 
 
 @kernel()
 def mask_rectangles(mask: NDArray) -> NDArray:
-    """Cover a bool mask by disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4]: equal runs of rows are merged."""
+    """Cover a bool mask by disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4], by merging equal runs of rows."""
     nx, nz = mask.shape
     out = np.empty((256, 4), np.int64)
     count = 0

@@ -29,16 +29,18 @@ class BuildSpec:
     """Version and resolutions of the free floor."""
 
     version: int = 4
-    """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
+    """Version of the builders, part of every key. It must be raised when results change, so that stale cache entries
+    are not found."""
     arc_segments: int = 8
-    """Number of segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
+    """Number of segments per quarter of an inflated corner: at a radius of 0.25 m a path cuts 1.2 mm into it (with 4
+    segments: 4.8 mm)."""
     smooth_m: float = 1e-4
-    """Distance from a straight line below which corners are dropped [m]: they are seams of unions, not geometry."""
+    """Distance from a straight line below which corners are dropped [m]: such corners are artefacts of unions."""
     island_min_m2: float = 0.01
     """Area below which patches of floor are rounding errors [m2]."""
     voxel_m: float = 0.025
-    """Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md
-    2.4)."""
+    """Side and height of a voxel [m]. With 5 cm the largest errors of geodesic distances were 12% to 24%, with 2.5 cm
+    below 1% (research/navigation-and-stepping.md 2.4)."""
 
 
 BUILD = BuildSpec()
@@ -48,7 +50,7 @@ Method = Literal["auto", "shapes", "mesh"]
 
 
 def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
-    """Return the builder that serves a scene: exact shapes if there are rooms and shapes of the building, else voxels."""
+    """Choose the builder for a scene: exact shapes if there are rooms and shapes of the building, else voxels."""
     static = [scene.assets[i.asset] for i in scene.static_instances]
     # a stage without shapes is a scanned building: its furniture may have shapes, but its walls do not
     shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
@@ -107,7 +109,7 @@ def build_from_scene(
 ) -> FloorMap:
     """Return the free space of one floor of a scene, or of all storeys that stairs join.
 
-    See `h3data.scene.FreeSpace.from_scene`.
+    The arguments are described in `h3data.scene.FreeSpace.from_scene`.
     """
     sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
@@ -158,7 +160,7 @@ def build_from_walkable(
 ) -> FloorMap:
     """Return the free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
 
-    Islands smaller than ``island_min_m2`` are left out, but for the largest.
+    Islands smaller than ``island_min_m2`` are left out, except the largest one.
     """
     # before it is inflated: each needless corner would become an arc of eight segments and as many nodes of the graph
     walkable = MultiPolygon(polygon_parts(walkable.simplify(BUILD.smooth_m)))
@@ -231,8 +233,8 @@ def walkable_from_triangles(
 ) -> tuple[MultiPolygon, float]:
     """Return floor polygons (x, z), not yet inflated, and the floor's height [m], from world triangles [F, 3, 3].
 
-    The floor is the lowest large connected surface (or the one nearest to ``floor_y``), with every other surface at its
-    height.
+    The floor is the lowest large connected surface (or the one nearest to ``floor_y``), together with all other
+    surfaces at its height.
     """
     low, high = triangles.min((0, 1)), triangles.max((0, 1))
     size = high - low

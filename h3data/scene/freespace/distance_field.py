@@ -1,4 +1,4 @@
-"""Distances to a goal from everywhere, and directions along the shortest path."""
+"""Distances from any point to fixed goals, and directions along the shortest path."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from h3data.scene.freespace._visibility import Graph
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceField:
-    """Shortest-path distance to the nearest of some fixed goals as a function of the floor point; any angle, no grid.
+    """Shortest-path distance from any floor point to the nearest of some fixed goals, without a grid.
 
-    Exact: equal to `FreeSpace.geodesic` to 1e-5 m (float32 tables), and about half its price for each point. Made by
-    `FreeSpace.distance_field`.
+    The distance equals `FreeSpace.geodesic` within 1e-5 m (float32 tables) and takes about half its time per point.
+    `FreeSpace.distance_field` creates it.
     """
 
     graph: Graph
@@ -28,7 +28,7 @@ class DistanceField:
 
     @classmethod
     def to(cls, graph: Graph, goals: NDArray[np.float64]) -> DistanceField:
-        """Return the field of goals [K, 2] on the free area; without any, every distance is infinite."""
+        """Return the field of goals [K, 2] [m] on a free area; without goals, all distances are infinite."""
         goals = np.ascontiguousarray(goals, np.float64)
         return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
 
@@ -42,14 +42,14 @@ class DistanceField:
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Return the unit vector [..., 2] along the shortest path from points [..., 2]: minus the gradient of `distance`.
 
-        NaN where there is no path, zero in a goal. Points off the free area are moved to it first.
+        The vector is NaN where there is no path, and zero at a goal. Points off the free area are moved to it first.
         """
         return self.distance_and_direction(points, max_snap_m=max_snap_m)[1]
 
     def distance_and_direction(
         self, points: ArrayLike, *, max_snap_m: float = SNAP_M
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return `distance` [...] and `direction` [..., 2] at once, in the time of one."""
+        """Return `distance` [...] [m] and `direction` [..., 2] together, in the time of one of them."""
         graph, corner, goals = self.graph, self.corner, self.goals
         both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
         return both[..., 0], both[..., 1:]

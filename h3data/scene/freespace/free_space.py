@@ -1,7 +1,7 @@
-"""Places at which the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
+"""Free space of a round agent on one floor: exact polygons, distances to obstacles, and shortest paths.
 
-Everything that moves on a floor reads this one object: navigation, the step kernels (through the plain arrays ``sdf``,
-``origin``, ``cell_m`` and the kernels `sample_sdf`, `sdf_gradient`, `line_of_sight`), rewards and metrics.
+Navigation, step kernels, rewards and metrics all use this object. Step kernels read the plain arrays ``sdf``,
+``origin`` and ``cell_m`` by the kernels `sample_sdf`, `sdf_gradient` and `line_of_sight`.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ __all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FreeSpace(FloorMap):
-    """The free space of one floor for a disc of one radius. Floor points are (x, z) in the world [m]."""
+    """Free space of one floor for a disc of one radius, with floor points (x, z) in the world [m]."""
 
     @classmethod
     def from_map(cls, floor: FloorMap, lattice: Lattice | None = None) -> FreeSpace:
-        """Return the free space with the geometry of ``floor``, and its lattice if that is known already."""
+        """Return the free space with the geometry of ``floor``, and its lattice if it is known."""
         space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
         if lattice is not None:
             # where `cached_property` keeps it, so that it is not built again
@@ -72,13 +72,14 @@ class FreeSpace(FloorMap):
 
         Args:
             scene: The scene; only its geometry is read.
-            radius_m: Radius of the agent; the default is Spot's, and the humanoid uses the same (spec/habitat.md).
-            height_m: Headroom that it needs.
-            max_climb_m: Steps and things up to this high are walked over.
-            cell_m: Side of a cell of the distance grid.
-            floor_y: Which floor; None takes the one with the largest area, or all storeys where stairs join them.
+            radius_m: Radius of the agent [m]; the default is Spot's, and the humanoid uses the same (spec/habitat.md).
+            height_m: Headroom that the agent needs [m].
+            max_climb_m: Largest height of steps and objects over which the agent can walk [m].
+            cell_m: Side of a cell of the distance grid [m].
+            floor_y: Height of the floor [m]; None for the floor with the largest area, or all storeys if stairs join
+                them.
             method: ``shapes`` is exact and needs collision shapes and rooms, ``mesh`` finds the floor among triangles
-                by voxels of 2.5 cm, ``auto`` takes the first where it can.
+                by voxels of 2.5 cm, ``auto`` uses ``shapes`` if possible.
             cache: True if a result on disk may be used and stored (see `h3data.scene.freespace.store`).
         """
         sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
@@ -91,7 +92,7 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
     def as_in(self, scene: Scene, *, radius_m: float | None = None) -> FreeSpace:
-        """Return the floor for the same agent, or one of another radius, in the same home with doors in another state."""
+        """Return the free space for the same agent, or another radius, in the same home with doors in another state."""
         return FreeSpace.from_scene(
             scene,
             radius_m=self.radius_m if radius_m is None else radius_m,
@@ -107,7 +108,7 @@ class FreeSpace(FloorMap):
         return cls.from_map(*store.load(Path(path)))
 
     def save(self, path: str | Path) -> None:
-        """Write one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
+        """Write one npz file (no pickle) atomically, with the lattice table if it was built."""
         store.save(self, Path(path), lattice=self.__dict__.get("lattice"))  # only if it was built
 
     # --- how high the floor is -----------------------------------------------------------------------------------------
@@ -119,14 +120,14 @@ class FreeSpace(FloorMap):
         return floor_heights(self.heights, self.floor_y, points)
 
     def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the height [...] [m] of the surface under a foot at points [..., 2]: as `height_at`, but stairs have steps."""
+        """Return the height [...] [m] of the surface under a foot at points [..., 2]: stairs have steps."""
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
     def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
         """Return poses (pose7) [..., 7] of agent roots on the floor at points [..., 2] with headings [...].
 
-        With ``pitch_over_m`` roots pitch with the floor under the ends of a base of that length, at their mean height; others
-        stay upright.
+        With ``pitch_over_m`` [m], roots pitch with the floor under both ends of a base of that length, at their mean
+        height. Otherwise they stay upright.
         """
         if not len(self.heights):
             return ground_pose(xz, heading_rad, self.floor_y)
@@ -134,25 +135,25 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def entries(self) -> Entries:
-        """Kernels called with the arrays of this floor."""
+        """Compiled kernels bound to the arrays of this floor."""
         return Entries()
 
     @cached_property
     def has_stairs(self) -> bool:
-        """Return whether one may walk from one storey to another."""
+        """Return whether stairs connect storeys of the floor."""
         return bool(self.heights[:, STEPS].any())
 
     @cached_property
     def without_stairs(self) -> FreeSpace:
         """Return the floor for agents that cannot climb: flights of stairs are obstacles, and each storey is an island.
 
-        A level floor returns itself.
+        For a level floor, the object itself is returned.
         """
         return FreeSpace.from_map(without_stairs(self)) if self.has_stairs else self
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, bilinear."""
+        """Return the distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor (bilinear)."""
         return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -160,16 +161,17 @@ class FreeSpace(FloorMap):
         return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle; negative: overlap."""
+        """Return the distance [...] [m] of the agent's rim at points [..., 2] to the nearest obstacle.
+
+        It is negative if they overlap.
+        """
         return self.signed_distance(points) - self.radius_m
 
     def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
         """Return the distance [..., R] [m] from points [..., 2] along headings [..., R] [rad] to an obstacle.
 
-        It is at most ``max_m``.
-
-        That is what an ideal laser scanner measures in a plane. The outlines are those of the map: whatever stands in the
-        way of an agent counts as solid between ``max_climb_m`` and ``height_m``.
+        It is at most ``max_m``, as an ideal planar laser scanner measures it. The outlines are those of the map, in
+        which all obstacles of agents count as solid between ``max_climb_m`` and ``height_m``.
         """
         p, angles = floor_points(points), np.asarray(headings, np.float64)
         if angles.shape[:-1] != p.shape[:-1]:
@@ -192,15 +194,15 @@ class FreeSpace(FloorMap):
         return self.island(points) >= 0
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:
-        """Return the index of the island of points [..., 2], int [...]; -1 where it may not stand."""
+        """Return the index of the island of points [..., 2], int [...]; -1 where the agent may not stand."""
         return each_point(lambda p: self.entries(locate_many, self.graph, p), points)
 
     def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
-        """Free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
+        """Return the free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
         return each_point(lambda p: self.entries(snap_many, self.graph, p, float(max_distance_m)), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
-        """Sample free points [n, 2] of one island uniformly; each call takes 3 n random numbers, so streams stay aligned."""
+        """Sample free points [n, 2] of one island uniformly; each call consumes 3 n random numbers."""
         triangles, cumulative = self._triangles(island)
         # which triangle, and two coordinates in it
         u = rng.random((n, 3))
@@ -213,16 +215,20 @@ class FreeSpace(FloorMap):
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def geodesic(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return the length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact; inf where there is none.
+        """Return the length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact.
 
-        Ends off the free area are moved to it first; farther than ``max_snap_m`` there is no path.
+        The length is infinite where there is no path.
+
+        Ends off the free area are moved to it first; if they are farther from it than ``max_snap_m``, there is no path.
         """
         return each_pair(lambda p, q: self.entries(geodesic_many, self.graph, p, q, float(max_snap_m)), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], with both ends (as moved); k = 0: no path.
+        """Return waypoints [k, 2] of the shortest path from a [2] to b [2], including both ends.
 
-        ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
+        If there is no path, k is 0.
+
+        ``path[1]`` corresponds to Habitat's ``points[1]``, the point towards which its agents walk.
         """
         p, q = one_point(a), one_point(b)
         return self.entries(path_pair, self.graph, p[0], p[1], q[0], q[1], float(max_snap_m))
@@ -230,7 +236,7 @@ class FreeSpace(FloorMap):
     def next_waypoint(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> NDArray[np.float64]:
-        """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN when there is no path.
+        """Return the point [2] to walk to from a [2] on the shortest path to b [2]; NaN if there is no path.
 
         Waypoints nearer than ``beyond_m`` are skipped (an inflated corner is an arc of points 5 cm apart).
         """
@@ -239,22 +245,25 @@ class FreeSpace(FloorMap):
     def first_leg(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> tuple[float, NDArray[np.float64]]:
-        """Return `geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN without a path."""
+        """Return `geodesic` [m] and `next_waypoint` [2] of two points [2] by one search.
+
+        Without a path, the results are infinity and NaN.
+        """
         (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
         length, x, z = self.entries(first_leg, self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
         return length, np.array([x, z])
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
-        """Return exact distances from anywhere to one goal [2], or to the nearest of several [K, 2], and the paths to it."""
+        """Return the field of exact distances from any point to one goal [2], or to the nearest of several goals [K, 2]."""
         moved = self.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
         # goals out of reach are left out, because they were moved to NaN
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """Return `geodesic` by look-ups in the lattice's table: within about 0.1% (p95 below 1%).
+        """Return the length [...] [m] of the shortest path by look-ups in a lattice, within about 0.1% (p95 below 1%).
 
-        What a back end computes that can gather but not search (a GPU), as its reference; here `geodesic` is faster. Exact
-        where the way is straight or shorter than 3 m. The table is built at the first call.
+        This is the reference for back ends that can gather but not search, such as GPUs; on a CPU `geodesic` is faster.
+        The result is exact for straight paths and paths shorter than 3 m. The table is built at the first call.
         """
         table = (self.graph, self.sdf, self.origin, self.cell_m, self.radius_m, self.lattice)
         return each_pair(lambda p, q: quick_distance_many(*table, p, q, max_snap_m), a, b)

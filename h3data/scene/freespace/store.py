@@ -1,7 +1,8 @@
-"""`FreeSpace` on disk: one npz file without pickle, and a cache of them by key.
+"""Storage of `FreeSpace` objects: npz files without pickle, and a cache of them by key.
 
-The cache lies in ``$H3DATA_CACHE/freespace`` (``H3DATA_CACHE=off`` does without), else ``$XDG_CACHE_HOME/h3data/freespace``,
-else ``~/.cache/h3data/freespace``. Where that cannot be written, nothing is cached. It may be deleted at any time.
+The cache is in ``$H3DATA_CACHE/freespace`` (``H3DATA_CACHE=off`` disables it), else
+``$XDG_CACHE_HOME/h3data/freespace``, else ``~/.cache/h3data/freespace``. If the folder cannot be written, nothing is
+cached. The cache may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _NUMBERS = ("floor_y", "radius_m", "height_m", "max_climb_m", "cell_m")
 
 
 def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None:
-    """Write ``path`` whole or not at all."""
+    """Write a free space to the file ``path`` atomically."""
     arrays: dict[str, NDArray] = {
         "format": np.array(FORMAT),
         "key": np.frombuffer(space.key.encode(), np.uint8),
@@ -51,7 +52,7 @@ def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None
 
 
 def load(path: Path) -> tuple[FloorMap, Lattice | None]:
-    """Free space from a file that `save` wrote."""
+    """Load a free space from a file that `save` wrote."""
     if not path.is_file():
         raise InputError(f"No such free-space file: {path}", code="H3-SCENE-017")
     try:
@@ -100,7 +101,7 @@ def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice |
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of cached free spaces, None when ``H3DATA_CACHE`` is ``off``."""
+    """Return the folder of cached free spaces, None if ``H3DATA_CACHE`` is ``off``."""
     return files.cache_folder("freespace")
 
 

@@ -1,4 +1,4 @@
-"""Fingers that close around what a hand holds, and a head and eyes that turn to a point, compiled.
+"""Compiled kernels that close the fingers around a held object and turn the head and eyes to a point.
 
 Poses are in the agent root frame (x forward, y up, z right). Both kernels work on any pose: walking or reaching.
 """
@@ -23,17 +23,17 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_INDEX
 from h3data.kernels import kernel, kernel_part
 
 YAW_MAX, PITCH_MAX = math.radians(70.0), math.radians(50.0)
-"""Largest turn of the head against the chest; points behind the person are not looked at."""
+"""Largest angle of the head to the chest [rad]; a person does not look at points behind them."""
 HEAD_SHARE, HEAD_STEP, HEAD_GAIN = 0.2, math.radians(4.0), 0.02
-"""The head turns by this share of the remaining angle in a step, by at most 4 degrees [rad] (120 degrees a second), and the
-turn of a step changes by at most `HEAD_GAIN` [rad] from one step to the next: heads have mass."""
+"""Share of the remaining angle by which the head turns in a step, the largest turn in a step [rad] (4 degrees, 120
+degrees a second), and the largest change of that turn between steps [rad]."""
 EYE_MAX, EYE_STEP = 0.45, math.radians(13.0)
-"""Eyes make up for what the head has not turned yet, up to `EYE_MAX` in yaw and in pitch, by at most 13 degrees a step [rad]
-(390 degrees a second, as in saccades)."""
+"""Largest yaw and pitch of the eyes, which make up for the remaining turn of the head, and their largest turn in a step
+[rad] (13 degrees, 390 degrees a second, as in saccades)."""
 NECK_SHARE = 0.4
-"""Share of a turn of the head that the neck does."""
+"""Share of a turn of the head that the neck makes."""
 CURL_SHARES = np.array([1.0, 1.0, 0.8])
-"""Bend of the three joints of a finger, from its root on, as a share of the curl."""
+"""Bend of the three joints of a finger, from its root to its tip, as a share of the curl."""
 THUMB_SHARES = np.array([0.7, 0.5, 0.5])
 
 _SPINE = np.array([JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"]])
@@ -52,7 +52,7 @@ _THUMBS = np.array([[JOINT_INDEX[f"{side}_thumb{k}"] for k in (1, 2, 3)] for sid
 def curl_fingers(quats, curl):
     """Bend each finger joint of a pose [55, 4], in place, by a further ``curl`` [2] (left and right hand) [rad].
 
-    The thumb comes in from its side.
+    The thumb closes from its side.
     """
     for side in range(2):
         # an open hand keeps the pose, to the bit
@@ -116,15 +116,15 @@ def _shortened(a, b, most):
 
 @kernel(error_model="numpy")
 def turn_gaze(offsets, quats, pelvis, base, target, looks, turning, gaze):
-    """Turn the head and the eyes of a pose, in place, one step towards a world point or back to where the pose has them.
+    """Turn the head and the eyes of a pose, in place, one step towards a world point or back to the original pose.
 
-    The agent root is at ``base`` [7]; ``target`` [3] is the point, if the person ``looks`` at one.
+    The agent root is at ``base`` [7]; ``target`` [3] is the point [m] if ``looks`` is true.
 
-    ``turning`` is how far the pose itself turns the head to the left in this step [rad]: both together turn it no faster than
-    heads turn.
+    ``turning`` is the angle by which the pose itself turns the head to the left in this step [rad]; the sum of both
+    turns is limited to the speed of a head.
 
-    ``gaze`` [6], updated in place, holds the angles of the head, of the eyes, and of the head's last step, each to the left and
-    down, beyond the pose [rad]. Returns the angle that the head has yet to turn [rad].
+    ``gaze`` [6], updated in place, holds the angles of the head, of the eyes, and of the head's last step, each to the
+    left and down, beyond the pose [rad]. Returns the angle that the head has yet to turn [rad].
     """
     turn, at = row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2])
     for joint in _SPINE:

@@ -1,4 +1,4 @@
-"""Motion clips and the joint tree, compiled: frames of a clip table, arms drawn in, frames of joints and capsules."""
+"""Compiled kernels of motion clips and the joint tree: sampling of clips, folding of arms, and frames of joints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data.kernels import kernel, kernel_part
 
 
 class ClipArrays(NamedTuple):
-    """`h3data.bodies.people.clips.ClipTable` for kernels: all clips of a body, one below the other."""
+    """Arrays of a `h3data.bodies.people.clips.ClipTable` for kernels, with the frames of all clips of a body in sequence."""
 
     legs: LegMeasures
     first: NDArray[np.int64]
@@ -25,9 +25,10 @@ class ClipArrays(NamedTuple):
     ankle: Array
     foot: Array
     stand: tuple[Array, Array, Array, Array]
-    """Standing in the body frame: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
+    """Standing pose in the body frame: quats [55, 4], pelvis [3] [m], ankles [2, 3] [m] and angles of the feet [2, 3]
+    [deg]."""
     to_root: Array
-    """Rotation from the body frame to the agent root frame, shape [4]."""
+    """Rotation from the body frame to the agent root frame as a quaternion xyzw, shape [4]."""
 
 
 @kernel_part()
@@ -37,11 +38,12 @@ def _mix(low, high, share):
 
 @kernel(error_model="numpy")
 def sample_all(table, motion, phase, blend, ground, quats, pelvis):
-    """Sample poses [T] of clips at their phases into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3].
+    """Sample poses [T] of clips at their phases into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3] [m].
 
-    Where ``blend`` is below 1, a pose is led towards standing.
+    Where ``blend`` is below 1, a pose is blended towards the standing pose.
 
-    ``ground`` [T, 2], or [0, 2] where the floor is flat.
+    ``ground`` holds heights of the floor under both feet relative to the root, [T, 2] [m], or has shape [0, 2] if the
+    floor is flat.
     """
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     to_root = (table.to_root[0], table.to_root[1], table.to_root[2], table.to_root[3])
@@ -81,9 +83,9 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
 
 @kernel(error_model="numpy")
 def tuck_all(quats, shares, joints, tucked):
-    """Blend a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4], in place.
+    """Blend one joint of both arms in poses [T, 55, 4] with its rotations ``tucked`` [2, 4], in place.
 
-    ``shares`` [T, 2] are the weights of the rotations, 0..1. Returns False, and changes nothing, if some are not
+    ``shares`` [T, 2] are the weights of the rotations, 0..1. Returns False, and changes nothing, if any of them is not
     finite.
     """
     # all of them before the first change
@@ -100,7 +102,7 @@ def tuck_all(quats, shares, joints, tucked):
 
 @kernel_part()
 def write_frame(parent, q, x, y, z, frame):
-    """Write the frame [4, 4] of a joint, from the frame of its parent, its local rotation and its place in that frame."""
+    """Write the frame [4, 4] of a joint, from the frame of its parent, its local rotation and its position in that frame."""
     i, j, k, w = q
     # written out: products of small arrays would be allocated and called through BLAS
     a, b, c = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
@@ -124,10 +126,10 @@ def _write_tree(quats, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def joint_frames(base, quats, pelvis, offsets, parents, frames):
-    """Fill ``frames`` [T, 55, 4, 4] with those of all joints in the world.
+    """Fill ``frames`` [T, 55, 4, 4] with the world frames of all joints.
 
-    ``base`` [T or 1, 7] holds the agent roots, ``quats`` [T, 55, 4] the local rotations, ``pelvis`` [T, 3] the places
-    of the pelvis.
+    ``base`` [T or 1, 7] holds the agent roots, ``quats`` [T, 55, 4] the local rotations, ``pelvis`` [T, 3] the
+    positions of the pelvis in the agent root frame [m].
     """
     unit, world = np.eye(4), np.empty((4, 4))
     for t in range(len(quats)):
@@ -139,9 +141,10 @@ def joint_frames(base, quats, pelvis, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def free_joint_frames(root, quats, offsets, parents, frames):
-    """Fill ``frames`` [T, 55, 4, 4] with those of all joints in the world.
+    """Fill ``frames`` [T, 55, 4, 4] with the world frames of all joints in a free-form pose.
 
-    ``root`` are the frames of the pelvis in the world [T, 7], ``quats`` the local rotations of the others [T, 54, 4].
+    ``root`` are the frames of the pelvis in the world [T, 7], ``quats`` the local rotations of the other joints [T, 54,
+    4].
     """
     world = np.eye(4)
     for t in range(len(quats)):

@@ -1,7 +1,7 @@
-"""Arms and head of a pose led to targets, compiled: whatever the rest of the body does meanwhile, such as walking.
+"""Compiled kernels that move the arms and head of any pose to targets, also while the body walks.
 
-Targets and poses are in the agent root frame (x forward, y up, z right). Only shoulders, elbows and wrists, neck and head
-change, so that planted feet stay where they are.
+Targets and poses are in the agent root frame (x forward, y up, z right). Only shoulders, elbows and wrists, neck and
+head change, so that planted feet stay where they are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.kernels import kernel, kernel_part
 
 WRIST_MAX = math.radians(70.0)
-"""Largest angle of a wrist from the direction of the forearm [rad]."""
+"""Largest angle between the hand and the forearm [rad]."""
 NECK_SHARE = 0.4
 """Share of a turn of the head that comes from the neck."""
 
@@ -38,7 +38,7 @@ _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 
 @kernel_part()
 def chest_of(offsets, quats, pelvis):
-    """Return the rotation and the place of the uppermost joint of the spine of a pose."""
+    """Return the rotation and the position [m] of the uppermost spine joint of a pose in the agent root frame."""
     turn, at = row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2])
     for joint in _SPINE:
         at = plus(at, turned(turn, row3(offsets, joint)), 1.0)
@@ -59,8 +59,8 @@ def _clipped_turn(q, most):
 def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, share):
     """Move one arm of a pose, in place, so that its palm is at ``target`` [3] [m], as far as arm and wrist reach.
 
-    If ``has_turn``, the palm is turned as ``turn`` [4]. ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4] and
-    ``pelvis`` [3] are the pose. With a ``share`` below 1 the arm is between the pose (0) and the target (1).
+    If ``has_turn``, the palm gets the rotation ``turn`` [4]. ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4]
+    and ``pelvis`` [3] are the pose. With a ``share`` below 1 the arm is between the pose (0) and the target (1).
     """
     chest, at = chest_of(body.offsets, quats, pelvis)
     collar_turn = multiply(chest, row4(quats, body.joints[0]))

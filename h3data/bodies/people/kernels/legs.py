@@ -1,7 +1,8 @@
-"""Legs, compiled: two bones from the hip to the ankle, feet on the floor, and the transition from standing to moving.
+"""Compiled kernels of legs: two bones from hip to ankle, feet on the floor, and the transition from standing to moving.
 
-In the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor; angles of feet in degrees as
-in `h3data.bodies.people.legs.Posture`. For one frame NumPy needs 40 times as long: its calls cost more than their numbers.
+Positions are in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Angles of
+feet are in degrees, as in `h3data.bodies.people.legs.Posture`. For one frame NumPy needs 40 times as long: its calls
+cost more than their numbers.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ LEG_JOINTS = np.array(
     [[JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")]
 )
 KNEES_OUT = 0.10
-"""Distance by which knees point out to their side, relative to 1 for the direction in which feet point forward."""
+"""Outward component of the direction in which knees point, if the component in the direction of the foot is 1."""
 
 
 class LegMeasures(NamedTuple):
@@ -45,7 +46,7 @@ class LegMeasures(NamedTuple):
     thigh: float
     shank: float
     longest: float
-    """A leg is never stretched further than this [m]."""
+    """Largest distance from hip to ankle [m]."""
     feet: Array
 
 
@@ -83,7 +84,7 @@ def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
 
 @kernel_part()
 def sinking(hips, longest, pelvis_turn, pelvis, ankles):
-    """Return how far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
+    """Return how far the pelvis must sink [m] for both ankles [2, 3] to be within a distance ``longest`` [m] of their hips."""
     sink = 0.0
     for k in range(2):
         hip = plus(pelvis, turned(pelvis_turn, row3(hips, k)), 1.0)
@@ -98,7 +99,8 @@ def sinking(hips, longest, pelvis_turn, pelvis, ankles):
 def lowest(feet, height, pitch, bend):
     """Return the height [m] of the lowest point of a sole.
 
-    It is the heel or the tip of the toes, of a foot ``feet`` [3, 3] with its ankle at ``height`` [m].
+    The point is the heel or the tip of the toes. ``feet`` [3, 3] are the points of the foot relative to the ankle,
+    which is at ``height`` [m].
     """
     turn, toes = math.radians(-pitch), math.radians(-pitch - bend)
     c, s = math.cos(turn), math.sin(turn)
@@ -110,7 +112,7 @@ def lowest(feet, height, pitch, bend):
 
 @kernel(error_model="numpy")
 def lowest_points(feet, ankle, foot, out):
-    """Fill ``out`` [T, 2] with `lowest` of all frames: ankles [T, 2, 3] [m], angles of the feet [T, 2, 3]."""
+    """Fill ``out`` [T, 2] with heights [m] of the soles' lowest points, from ankles [T, 2, 3] [m] and feet [T, 2, 3] [deg]."""
     for t in range(len(out)):
         for k in range(2):
             out[t, k] = lowest(feet[k], ankle[t, k, 1], foot[t, k, 0], foot[t, k, 2])
@@ -118,7 +120,7 @@ def lowest_points(feet, ankle, foot, out):
 
 @kernel(error_model="numpy")
 def sink_pelvis(legs, quats, pelvis, ankle):
-    """Lower pelvis places [T, 3], in place, where a foot would be out of reach."""
+    """Lower the pelvis positions [T, 3] [m], in place, of frames in which a foot would be out of reach."""
     for t in range(len(pelvis)):
         pelvis[t, 1] -= sinking(legs.hips, legs.longest, row4(quats[t], 0), row3(pelvis, t), ankle[t])
 
@@ -157,11 +159,12 @@ def write_all_legs(legs, quats, pelvis, ankle, foot, angles):
 
 @kernel_part()
 def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
-    """Lead one pose from moving (``blend`` 1) at its ``phase`` to standing (0), in place, by steps instead of sliding.
+    """Blend one pose, in place, from moving (``blend`` 1) at its ``phase`` to standing (0) by steps instead of sliding feet.
 
-    From 1 to 0.5 the foot that is up, or about to leave the floor, goes to its standing place; below 0.5 the other one does.
-    A foot on its way is lifted, so a stop on the spot drags nothing. A start jumps to more than 0.5 and begins at the clip's
-    start phase, where the left foot needs no move. The legs are left to be solved.
+    From 1 to 0.5 the foot that is up, or about to leave the floor, goes to its standing place; below 0.5 the other one
+    does. A moving foot is lifted, so no foot slides when the person stops. When a person starts to walk, the blend
+    jumps to more than 0.5 and the phase starts at the clip's start phase, at which the left foot need not move. The
+    legs are not solved here.
     """
     still_quats, still_pelvis, still_ankle, still_foot = stand
     for j in range(len(quats)):

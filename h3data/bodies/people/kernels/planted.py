@@ -1,15 +1,17 @@
 """Compiled kernels of planted walking: the motion of the feet while the root moves in any direction, and the pose at any time.
 
-`step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
-where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
-during the stance, and not into what stands there, if a map of the floor is given. On stairs the root follows a ramp and feet
-go from tread to tread (`steps`). Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase
-runs as fast as speed, turning or feet that stand wrong demand, and rests when both feet stand where a standing person's do.
+`step_gait` is a phase machine. A foot is either planted, at a fixed position on the floor in the world, or swings from
+there to its next position: as far ahead as in the gait at this speed, plus half of the root's further motion and turn
+during the stance. If a map of the floor is given, feet avoid walls and furniture. On stairs the root follows a ramp and
+feet step from tread to tread (`steps`). Nothing else moves a foot, so a planted foot cannot slide. The rate of the
+phase follows from the speed, the turning rate and the errors of the feet, and is 0 when both feet are in the standing
+position.
 
-`pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
+`pose_gait` computes the pose from one state alone. Joints come from tables by speed and phase; legs are solved from the
+feet in closed form.
 
-In the body frame (+Z forward, +Y up, +X left) with the origin at the root; feet are ``(left, forward, yaw)`` there and
-``(x, z, heading)`` in the world.
+The body frame (+Z forward, +Y up, +X left) has its origin at the root. Feet are ``(left, forward, yaw)`` in the body
+frame and ``(x, z, heading)`` in the world [m, m, rad].
 """
 
 from __future__ import annotations
@@ -37,18 +39,19 @@ from h3data.scene.freespace._sdf import sample_sdf, sdf_gradient
 
 # columns of a state
 PHASE, SHOWN, SPEED, TURN, SINK, IDLE, TIME, X, Z, HEADING, AHEAD, STYLE, LOOK, LOOK_RATE = range(14)
-"""``PHASE``: of the feet, 0 where the left one strikes; ``SHOWN``: of trunk and arms, which follow it smoothly; ``SPEED`` of
-the gait, negative backwards, and ``STYLE``, that of trunk and arms [m/s]; ``TURN`` [rad/s], smoothed; ``SINK`` of the pelvis
-[m]; ``IDLE``: how far the person breathes and sways as one who stands, 0..1; ``TIME`` [s]; the root; ``AHEAD``: its speed,
-nearly [m/s]; ``LOOK``: turn of the head to the left [rad], and ``LOOK_RATE`` of it [rad/s]."""
+"""Columns of a state. ``PHASE`` of the feet is 0 where the left foot strikes; ``SHOWN`` is the phase of trunk and arms,
+which follows it smoothly. ``SPEED`` of the gait is negative backwards, and ``STYLE`` is the speed of trunk and arms
+[m/s]. ``TURN`` is the smoothed turning rate [rad/s] and ``SINK`` the lowering of the pelvis [m]. ``IDLE`` is the share
+of the breathing and sway of a standing person, 0 to 1. ``TIME`` is in seconds, then come the root and ``AHEAD``, its
+approximate speed [m/s]. ``LOOK`` is the turn of the head to the left [rad], and ``LOOK_RATE`` its rate [rad/s]."""
 FOOT = 14
-"""First column of the left foot."""
+"""First column of a state that belongs to the left foot."""
 AIR, SHARE, SINCE = 0, 1, 2
 """Columns of a foot's swing: whether it swings, its progress 0..1, and its progress at the start (above 0 in the first step
 of a walk)."""
 PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
-"""Columns of a foot: its planted place in the world [3], its distance from the gait when it left the floor [3], and that
-distance when it lands [3]."""
+"""Columns of a foot: its planted position in the world [3], its offset from the gait's position when it left the floor
+[3], and the offset when it lands [3]."""
 SHAPE_OFF = 12
 """Columns of a foot: differences of pitch, bend [deg], ankle forward and up [m] from the gait since it left the floor or landed
 [4]."""
@@ -56,70 +59,74 @@ FOOT_COLUMNS = 16
 STATE_COLUMNS = FOOT + 2 * FOOT_COLUMNS
 
 SETTLED_M, SETTLED_RAD = 0.02, 0.10
-"""Distance and angle within which a foot counts as being at its place."""
+"""Distance [m] and angle [rad] within which a foot counts as being at its position."""
 LANDING_M, LANDING_RAD = 0.06, 0.20
-"""The place where a swinging foot will land moves by no more than this in a step."""
+"""Largest distance [m] and angle [rad] by which the landing position of a swinging foot changes in a step."""
 FIRST_SHARE = 0.25
-"""Share of its stance that the standing foot has reached while the other one makes the first step."""
+"""Share of its stance that the standing foot has passed when the other foot starts the first step of a walk."""
 JUMP_M = 0.5
-"""A root that moves further in one step has been put there: the person stands."""
+"""Distance in one step above which the root was placed anew, so that the person stands [m]."""
 MOST_STEPS, LEAST_S, SAME_S = 30, 1e-3, 1e-6
-"""Rows that are further apart are gone through in no more steps than this; a step is no shorter than `LEAST_S`. Steps that
-differ by less than `SAME_S` are equally long: times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved
-feet by up to 5 cm, as a foot that leaves the floor one step later lands elsewhere."""
+"""Largest number of steps between two rows, shortest step `LEAST_S` [s], and `SAME_S`, the difference below which steps
+are equally long [s]: times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved feet by up to 5 cm,
+as a foot that leaves the floor one step later lands elsewhere."""
 ACCELERATION, AHEAD_ACCELERATION, STYLE_ACCELERATION = 9.0, 25.0, 3.0
-"""The gait, the place where feet land, and trunk and arms follow the speed of the root no faster than this [m/s^2]."""
+"""Limits of the acceleration [m/s^2] with which the gait, the landing positions of feet, and the trunk and arms follow
+the speed of the root."""
 TURN_SHARE = 0.35
-"""Share of a change of the turning rate that a step takes over."""
+"""Share of a change of the root's turning rate that the gait adopts in a step."""
 CYCLES_PER_RAD, SETTLE_HZ = 0.7, 1.5
-"""Number of cycles of two steps per radian of a turn on the spot, in which a foot is placed anew every 41 degrees; cadence at
-which feet that stand wrong are set right."""
+"""Number of cycles of two steps per radian of a turn on the spot, in which each foot takes a step every 41 degrees, and
+the cadence [1/s] of steps that correct the positions of feet."""
 TWIST_RAD, OFF_M = 0.6, 0.45
-"""A foot lands turned from the body by no more than this, and no farther than this from where the steady gait has it."""
+"""Largest yaw of a landing foot from the body [rad], and its largest distance from its position in the steady gait
+[m]."""
 CATCH_UP = 0.015
-"""Cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump."""
+"""Cycles per step by which the phase of trunk and arms approaches the phase of the feet after a jump."""
 LIFT, LIFT_MOST_M = 0.18, 0.06
-"""Lift of a foot that goes to a place of its own: share of the distance, and its limit, in addition to the gait's own lift."""
+"""Additional lift of a foot that deviates from the gait, as a share of the deviation, and its limit [m]."""
 STRETCHED = 0.994
-"""Largest share of its length to which a leg is stretched: straighter knees would snap."""
+"""Largest share of its length to which a leg is stretched; straighter knees would straighten abruptly."""
 CROUCH_M, CROUCH_MPS, RISE_MPS = 0.06, 0.2, 0.5
-"""Distance by which the pelvis is lower on stairs, for the foot below, the speed at which it gets there, and the largest speed
-at which a pelvis that has sunk comes back up."""
+"""Distance by which the pelvis is lowered on stairs [m], the speed of lowering, and the largest speed of rising again
+[m/s]."""
 LETS_GO, OVER_BY, DRAWS = 0.4, 0.8, 0.3
-"""Shares of a foot's swing: after the first, the pelvis no longer keeps that foot within reach; by the second, a foot between
-treads is above its place; from the third on, the pelvis sinks for a foot that comes down on a lower tread."""
+"""Shares of a foot's swing: after the first, the pelvis is no longer lowered to keep that foot within reach; at the
+second, a foot between treads is above its landing position; from the third on, the pelvis sinks for a foot that lands
+on a lower tread."""
 SHAPE_LEFT = 0.78
-"""Share of `SHAPE_OFF` that is left after a step."""
+"""Share of the differences in `SHAPE_OFF` that remains after a step."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
-"""A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
-this part of its stance or later."""
+"""Lowering of the pelvis [m] above which a foot behind the body leaves the floor early, if the other foot stands, and
+the share of its stance from which on it may leave."""
 CLEARANCE_M = 0.012
-"""Least distance of a swinging foot from the floor [m]."""
+"""Smallest distance of a swinging foot from the floor [m]."""
 FOOT_ROOM_M = 0.03
-"""A swinging foot keeps heel and toe tip so far from walls and furniture. Those that belong below a person whose root is 25 cm
-from a wall have more room (5 cm on the largest body): with 6 cm such people never stopped setting their feet right."""
+"""Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
+from a wall never stopped correcting the positions of their feet."""
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
-"""Heel and toes get there from below the root as something that slides along what is in between, over at most so many straight
-lines with so many looks at the map each. Pushed out along the gradient instead, some came out on the far side of walls."""
+"""Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
+along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
+walls."""
 IDLE_IN, IDLE_OUT = 0.6, 3.0
-"""Rates [1/s] at which standing sway begins and ends."""
+"""Rates [1/s] at which standing sway starts and ends."""
 LOOK_S, LOOK_RAD = 0.30, 0.6
-"""Time by which the head looks ahead of the turn of the root, and the largest angle of that look."""
+"""Time by which the head anticipates the turn of the root [s], and the largest angle of the head [rad]."""
 LOOK_GAIN, LOOK_RAD_S, LOOK_ACCELERATION = 7.0, 1.9, 18.0
-"""The head gets there at this rate [1/s], no faster than 110 degrees a second, and its speed changes no faster than that
-[rad/s^2], as where it turns to things (`h3data.bodies.people.kernels.attention`). Without these limits the end of a turn on the
-spot turned the face by 15 degrees in a step."""
+"""Rate at which the head approaches that angle [1/s], its largest speed (110 degrees a second), and its largest
+acceleration [rad/s^2], as in turns of the head to objects (`h3data.bodies.people.kernels.attention`). Without these
+limits the end of a turn on the spot turned the face by 15 degrees in a step."""
 SWING_MPS, TOE_M = 3.0, 0.13
-"""Along the floor, neither the ankle of a swinging foot nor a point so far ahead of it moves faster against the body, unless
-the steady gait does; the foot's pitch and lift come on top. The phase runs more slowly meanwhile. Without this limit, toes
-moved 15 cm in a step on curves at 0.5 m/s."""
+"""Largest horizontal speed relative to the body [m/s] of a swinging foot's ankle and of a point ahead of it at this
+distance [m], unless the steady gait is faster. The phase is slowed down to keep within the limit. Without this limit,
+toes moved 15 cm in a step on curves at 0.5 m/s."""
 
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 
 
 class GaitTables(NamedTuple):
-    """A body's gaits by speed (rows, from standing on) and phase or share of stance or swing (columns)."""
+    """Tables of a body's gaits by speed (rows, starting with standing) and by phase or share of stance or swing (columns)."""
 
     legs: LegMeasures
     half_width: float
@@ -135,11 +142,11 @@ class GaitTables(NamedTuple):
     strike: Array
     """Distance ahead of the pelvis at which a foot strikes, in cycles, [R]."""
     swing: Array
-    """Fastest that a swinging foot moves along the floor against the body, [R] [m/s]."""
+    """Largest horizontal speed of a swinging foot relative to the body, [R] [m/s]."""
     middle: Array
     """Position of the feet while the body does not travel, [R] [m]."""
     quats: Array
-    """Rotations of the joints in the body frame by speed and phase, [R, P, 55, 4]; those of legs are not used."""
+    """Rotations of the joints in the body frame by speed and phase, [R, P, 55, 4]; rotations of legs are not used."""
     pelvis: Array
     """Position of the pelvis by speed and phase, [R, P, 3] [m]."""
     stand_foot: Array
@@ -147,11 +154,13 @@ class GaitTables(NamedTuple):
     swing_foot: Array
     """Pitch and bend of a swinging foot, [R, S, 2] [deg]."""
     swing_path: Array
-    """Ankle of a swinging foot from an eased line between its places on the floor: forward and up, [R, S, 2] [m]."""
+    """Offset of a swinging foot's ankle, forward and up, from an eased line between its positions on the floor, [R, S,
+    2] [m]."""
     to_root: Array
     """Rotation from the body frame to the agent root frame, [4]."""
     sdf: Array
-    """Distances to walls and furniture [X, Z] [m] (`h3data.scene.FreeSpace.sdf`); [0, 0]: nothing stands anywhere."""
+    """Distances to walls and furniture [X, Z] [m] (`h3data.scene.FreeSpace.sdf`); shape [0, 0] if there are no
+    obstacles."""
     origin: Array
     """Lower corner of the grid of ``sdf``, [2] [m]."""
     cell_m: float
@@ -516,7 +525,7 @@ def _leave(table, k, f, state, foot, share):
 
 @kernel_part(borrows=True)
 def stand_at(table, state, x, z, heading):
-    """Set a state, in place, to that of a person who stands at a root."""
+    """Set a state, in place, to a person who stands at a root (x, z, heading)."""
     for i in range(len(state)):
         state[i] = 0.0
     state[X], state[Z], state[HEADING] = x, z, heading
@@ -529,7 +538,7 @@ def stand_at(table, state, x, z, heading):
 
 @kernel_part(borrows=True)
 def is_settled(table, state):
-    """Return whether both feet are where those of a standing person are."""
+    """Return whether both feet are in the standing position."""
     k, f = _row(table, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
@@ -592,7 +601,7 @@ def _change_speed(table, state, velocity, most):
 
 @kernel_part(borrows=True)
 def step_gait(table, state, x, z, heading, dt):
-    """Advance a state by one step in which the root gets to (x, z, heading)."""
+    """Advance a state by one step in which the root moves to (x, z, heading) [m, m, rad]."""
     dx, dz = x - state[X], z - state[Z]
     way = math.hypot(dx, dz)
     # also true for NaN, of which every comparison is false: an absent person stands again when they are back
@@ -882,7 +891,7 @@ def _settle_pelvis(table, k, f, state, dt):
 
 @kernel_part(borrows=True)
 def pose_state(table, state, quats, pelvis, ankle, foot, angles):
-    """Write the pose of a state into ``quats`` [55, 4] and ``pelvis`` [3], in the agent root frame."""
+    """Write the pose of a state into ``quats`` [55, 4] and ``pelvis`` [3] [m], in the agent root frame."""
     k, f = _row(table, state[STYLE])
     low, high, share = _columns(table, state[SHOWN])
     for j in range(quats.shape[0]):
@@ -910,10 +919,12 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
 
 @kernel(error_model="numpy")
 def run_gaits(table, xz, heading, seconds, step_s, states):
-    """Fill states [T, K] of a root at ``xz`` [T, 2] and ``heading`` [T]; the person stands in the first row and after jumps.
+    """Fill states [T, K] for a root at ``xz`` [T, 2] [m] and ``heading`` [T] [rad].
 
-    Rows are ``seconds`` [T] after the one before; those that are further apart than ``step_s`` are gone through in several
-    steps along a straight line.
+    The person stands in the first row and after jumps.
+
+    Each row is ``seconds`` [T] after the previous one. Between rows that are further apart than ``step_s``, the root
+    moves along a straight line in several steps.
     """
     for t in range(len(states)):
         if t == 0:
@@ -938,7 +949,7 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
 
 @kernel(error_model="numpy")
 def pose_gaits(table, states, quats, pelvis):
-    """Write the poses of states [T, K] into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3], in the agent root frame."""
+    """Write the poses of states [T, K] into ``quats`` [T, 55, 4] and ``pelvis`` [T, 3] [m], in the agent root frame."""
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     for t in range(len(states)):
         pose_state(table, states[t], quats[t], pelvis[t], ankle, foot, angles)
@@ -946,26 +957,26 @@ def pose_gaits(table, states, quats, pelvis):
 
 @kernel(error_model="numpy")
 def stand_one(table, state, x, z, heading):
-    """Put one state [K] at a root, standing."""
+    """Set one state [K] to a person who stands at a root."""
     stand_at(table, state, x, z, heading)
 
 
 @kernel(error_model="numpy")
 def step_one(table, state, x, z, heading, dt):
-    """Advance one state [K] by one step in which the root gets to (x, z, heading)."""
+    """Advance one state [K] by one step in which the root moves to (x, z, heading) [m, m, rad]."""
     step_gait(table, state, x, z, heading, dt)
 
 
 @kernel(error_model="numpy")
 def stride_one(table, state, x, z, heading, dt, quats, pelvis):
-    """Do what `step_one` does, and write the pose of the state after it as `pose_gaits` does, in one call."""
+    """Advance one state [K] by one step and write its pose: `step_one` and `pose_gaits` in one call."""
     step_gait(table, state, x, z, heading, dt)
     pose_state(table, state, quats, pelvis, np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)))
 
 
 @kernel(error_model="numpy")
 def one_stands(table, state):
-    """Return whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
+    """Return whether both feet of a state [K] are at rest in the standing position, so that no further step follows."""
     return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
 
 

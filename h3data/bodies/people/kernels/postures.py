@@ -1,4 +1,4 @@
-"""Activities beside walking, added to poses and compiled: gestures, hands led to places, and poses blended.
+"""Compiled kernels that add activities to poses: gestures, hands at given positions, and blends of poses.
 
 Poses are in the agent root frame (x forward, y up, z right).
 """
@@ -57,10 +57,10 @@ def _lead(body, quats, collar, shoulder, place, palm, pole, twist, extension, sh
 
 @kernel(error_model="numpy")
 def lead_all(left, right, quats, pelvis, hands, palm, pole, twist, extension, curl):
-    """Lead both arms of poses, in place, to ``hands`` [T, 2, 4]: places, and shares from 0 to 1.
+    """Move both arms of poses, in place, to ``hands`` [T, 2, 4]: positions [m], and shares of the motion from 0 to 1.
 
-    The wrists are led there (``palm`` 0) or the palms (1), with twists of forearms and again of wrists, an extension of the
-    wrists, and fingers that are bent by ``curl`` [rad]. The others are as of `gesture_all`.
+    The positions are of the wrists (``palm`` 0) or the palms (1). Forearms and wrists are twisted, wrists are extended,
+    and fingers are bent by ``curl`` [rad]. `gesture_all` describes the other arguments.
     """
     closed = np.empty(2)
     for t in range(len(quats)):
@@ -81,14 +81,16 @@ def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, p
     Args:
         left: `ReachBody` of the left hand.
         right: `ReachBody` of the right hand.
-        quats: Rotations [T, 55, 4].
-        pelvis: Places of the pelvis [T, 3] [m].
-        gestures: Number, seconds and weight [T, 3].
-        places: Places of both wrists in each of G gestures, and whether they are used (0 or 1), [G, 2, K, 4].
-        counts: Number of places of each side [G, 2].
-        numbers: Duration [s], angle by which the head is lowered [rad], least height of wrists [m], and twist [rad], [G, 4].
+        quats: Local rotations [T, 55, 4].
+        pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
+        gestures: Number of the gesture, seconds since its start, and weight from 0 to 1, [T, 3].
+        places: Positions of both wrists in each of G gestures, in arm lengths, and whether they are used (0 or 1), [G,
+            2, K, 4].
+        counts: Number of positions of the left and right wrist [G, 2].
+        numbers: Duration [s], angle by which the head is lowered [rad], least height of wrists [m], and twist [rad],
+            [G, 4].
         pole: Direction of the elbows: ahead, up and outwards [3].
-        raised: Distance below the shoulder above which no work lifts a wrist, in lengths of the arm.
+        raised: Distance below the shoulder above which no gesture lifts a wrist for a work surface, in arm lengths.
     """
     for t in range(len(quats)):
         weight, k = min(max(gestures[t, 2], 0.0), 1.0), int(gestures[t, 0])
@@ -121,9 +123,11 @@ def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, p
 
 @kernel(error_model="numpy")
 def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
-    """Lead trunks and legs, in place, to poses that reach for ``hands`` [T, 2, 4]: places, and shares from 0 to 1.
+    """Blend trunks and legs of poses, in place, with poses that reach for ``hands``.
 
-    The others are as of `reach_many`.
+    ``hands`` [T, 2, 4] holds positions [m], and shares from 0 to 1.
+
+    `reach_many` describes the other arguments.
     """
     x, measures = np.empty(PARAMETER_COUNT), np.empty(MEASURE_COUNT)
     leant, places = np.empty((2, quats.shape[1], 4)), np.empty((2, 3))
@@ -147,7 +151,7 @@ def lean_all(left, right, table, low, step, root, quats, pelvis, hands):
 
 @kernel(error_model="numpy")
 def blend_rows(quats, rows, others, shares):
-    """Blend poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place; fingers stay."""
+    """Blend poses ``rows`` [N] of [T, 55, 4] with ``others`` [N, 55, 4] by ``shares`` [N], in place, without the fingers."""
     for n in range(len(rows)):
         for j in range(BODY_JOINTS):
             put(quats[rows[n]], j, nlerp(row4(quats[rows[n]], j), row4(others[n], j), shares[n]))

@@ -1,7 +1,8 @@
-"""Compiled solution of one reaching posture: trunk from a table, legs and arm in closed form, and its faults.
+"""Compiled kernels that solve a reaching posture: the trunk from a table, legs and arm in closed form, and a check for faults.
 
-Everything is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Vectors and
-quaternions (xyzw) are tuples here. The table is for the right hand; the left hand is its mirror image in the plane x = 0.
+Everything is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Vectors
+and quaternions (xyzw) are tuples here. The table is for the right hand; the left hand is its mirror image in the plane
+x = 0.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from h3data.kernels import kernel, kernel_part
 
 # --- the parameters of a posture, in units of `ReachBody.scale` and radians, relative to standing -----------------------
 SHIFT, PELVIS, SPINE, COLLAR, POLE, PARAMETER_COUNT = 0, 3, 6, 9, 11, 14
-"""First columns: pelvis shift (3), pelvis turn (3), turn of the whole spine (3), collar about y and z (2), and the direction
-in which the elbow sticks out, in the chest frame (3)."""
+"""First columns of the parameters of a posture: pelvis shift (3), pelvis turn (3), turn of the whole spine (3), collar
+about y and z (2), and the direction in which the elbow sticks out, in the chest frame (3)."""
 
 # --- the measures of a posture -----------------------------------------------------------------------------------------
 MISS, ELBOW, KNEE, SHANK, BALANCE, CLEARANCE, STRETCH, SPREAD, SHOULDER, MEASURE_COUNT = 0, 1, 2, 3, 4, 5, 6, 7, 8, 11
@@ -54,9 +55,9 @@ REACHED, OUTSIDE_BOX, INVALID_POSTURE, TOO_FAR = 0, 1, 2, 3
 _SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _GAZE_YAW, _GAZE_PITCH, _NECK_SHARE = 0.9, 0.75, 0.4
-"""The head turns by this much [rad] towards a target straight aside or below."""
+"""Turn of the head towards a target straight to the side or below [rad]."""
 _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
-"""Least distances of the centre of mass behind the toe joints, before the heels, and outside the ankles."""
+"""Smallest distances [m] of the centre of mass behind the toe joints, ahead of the heels, and outside the ankles."""
 
 
 class ReachBody(NamedTuple):
@@ -67,29 +68,30 @@ class ReachBody(NamedTuple):
     sign: float
     """Side of the hand: +1 for the left, -1 for the right."""
     stand: Array
-    """Local rotations of standing, the pelvis' in the body frame, shape [55, 4]."""
+    """Local rotations of the standing pose, with the pelvis in the body frame, shape [55, 4]."""
     pelvis: Array
-    """The standing pelvis joint, shape [3] [m]."""
+    """Position of the pelvis joint in the standing pose, shape [3] [m]."""
     pole: Array
     """Elbow direction of the hanging arm in the chest frame, shape [3]."""
     offsets: Array
-    """Joints in their parents' frames, shape [55, 3] [m]."""
+    """Positions of the joints in their parents' frames, shape [55, 3] [m]."""
     ankles: Array
     """Positions at which the ankles stay: left, right, shape [2, 3] [m]."""
     support: Array
-    """Heels and balls of the feet [m], along z."""
+    """Positions of the heels and balls of the feet along z [m]."""
     bones: Array
     """Lengths of thigh and shank [m]."""
     joints: NDArray[np.int64]
-    """Collar, shoulder, elbow, wrist of the hand; shoulder of the other; left and right hip, knee, ankle."""
+    """Indices of joints: collar, shoulder, elbow and wrist of the hand, the other shoulder, and left and right hip,
+    knee and ankle."""
     palm: Array
-    """The grasp point in the wrist frame, shape [3] [m]."""
+    """Position of the grasp point in the wrist frame, shape [3] [m]."""
     obstacles: Array
     """Capsules that forearm and hand must not enter: start, end, radius in joint frames, shape [C, 7] [m]."""
     obstacle_joints: NDArray[np.int64]
-    """Joints whose capsules must stay clear: 0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
+    """Index of the body part of each obstacle capsule: 0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
     arm_radius: float
-    """Radius of the forearm [m]; the hand's is as large."""
+    """Radius of the forearm and of the hand [m]."""
 
 
 @kernel_part()
@@ -122,11 +124,11 @@ def pose_arm(body, palm, collar, shoulder, target, pole, quats):
     """Turn shoulder and elbow so that the ``palm`` is at ``target`` and the elbow points towards ``pole``.
 
     The palm is given in the frame of the forearm, from the wrist; target and pole are in the frame of ``collar`` and
-    ``shoulder``. The elbow is a hinge about the shoulder frame's y axis, so the distance determines its angle, and the
-    plane of the arm the rest.
+    ``shoulder``. The elbow is a hinge about the shoulder frame's y axis, so the distance of the target determines its
+    angle. The plane of the arm determines the other angles.
 
-    Returns the length by which the arm is too short or too long [m], the flexion, the shoulder's turn, and the sine of
-    the angle between pole and arm.
+    Returns the length by which the arm is too short or too long [m], the flexion of the elbow [rad], the turn of the
+    shoulder, and the sine of the angle between pole and arm.
     """
     upper, lower = row3(body.offsets, body.joints[2]), row3(body.offsets, body.joints[3])
     lower = (lower[0] + palm[0], lower[1] + palm[1], lower[2] + palm[2])
@@ -163,8 +165,9 @@ def pose_arm(body, palm, collar, shoulder, target, pole, quats):
 def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     """Write the posture with parameters ``x`` whose palm is at ``target``: local ``quats`` [55, 4], ``pelvis`` [3].
 
-    ``trunk`` and ``arm`` (0 to 1) lead from the standing trunk and the hanging arm's elbow to those of ``x``; the palm is
-    at the target in any case, as far as the arm reaches. ``measures`` is written as the names above say.
+    ``trunk`` and ``arm`` (0 to 1) interpolate from the standing trunk and the elbow of a hanging arm to the parameters
+    ``x``; the palm is at the target in any case, as far as the arm reaches. ``measures`` is filled in the columns that
+    are named in this module.
     """
     m = -body.sign
     quats[:] = body.stand
@@ -278,7 +281,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
 def look_up(table, low, step, u, x):
     """Interpolate ``table`` [X, Y, Z, P] trilinearly at ``u`` into ``x`` [P].
 
-    Return whether ``u`` is inside the table; outside it is clamped.
+    Returns whether ``u`` is inside the table. Outside, ``u`` is clamped to the table.
     """
     inside = True
     cell, share = np.empty(3, np.int64), np.empty(3)
@@ -318,7 +321,7 @@ def fault(measures):
 
 @kernel_part()
 def reach_one(body, table, low, step, target, trunk, arm, root, x, quats, pelvis, measures):
-    """Compute the posture for one target [3] [m] as `reach_many` does; return its status.
+    """Compute the posture for one target [3] [m], as `reach_many` does for many, and return its status.
 
     ``x`` [P] is space for its parameters.
     """
@@ -334,11 +337,11 @@ def reach_one(body, table, low, step, target, trunk, arm, root, x, quats, pelvis
 
 @kernel(error_model="numpy")
 def reach_many(body, table, low, step, targets, trunk, arm, root, quats, pelvis, measures, status):
-    """Compute postures for ``targets`` [T, 3] [m].
+    """Compute postures with the palm at ``targets`` [T, 3] [m] in the body frame.
 
     They are written to ``quats`` [T, 55, 4], ``pelvis`` [T, 3], ``measures`` [T, M] and ``status`` [T].
 
-    ``root`` [4] turns the pelvis into the frame that the caller wants; the targets are in the body frame.
+    The quaternion ``root`` [4] rotates the pelvis from the body frame into the frame of the caller.
     """
     x = np.empty(PARAMETER_COUNT)
     for t in range(len(targets)):

@@ -1,4 +1,4 @@
-"""Parts of one pose, for people who are posed step by step: by NumPy they took up to five times as long."""
+"""Compiled kernels for parts of one pose, up to five times as fast as NumPy for people who are posed step by step."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def blend_pose(a, b, share, out):
 def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
     """Write the world frame [4, 4] of the last joint of a ``chain`` [n] that leads to it from below the pelvis.
 
-    ``base`` [7] is the agent root, and ``quats`` [55, 4] and ``pelvis`` [3] are the pose, as of `joint_frames`.
+    ``base`` [7] is the agent root, and ``quats`` [55, 4] and ``pelvis`` [3] are the pose, as in `joint_frames`.
     """
     for i in range(4):
         for j in range(4):
@@ -32,13 +32,15 @@ def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
 
 @kernel(error_model="numpy")
 def hold(frame, place, grip, upright, tilt, out):
-    """Write the pose7 of a held thing to ``out`` [7]: it moves rigidly with a palm, except that its rotation is blended.
+    """Write the pose7 of a held object to ``out`` [7].
+
+    The object moves rigidly with a palm, except that its rotation is blended.
 
     Args:
         frame: frame of the wrist [4, 4].
-        place: place of the palm [3] [m].
-        grip: pose7 of the thing in the palm's frame [7].
-        upright: rotation [4] of the thing while it keeps upright.
+        place: position of the palm in the frame of the wrist [3] [m].
+        grip: pose7 of the object in the palm's frame [7].
+        upright: rotation [4] of the object while it stays upright.
         tilt: share of the palm's own rotation, 0 to 1.
         out: the result [7].
     """

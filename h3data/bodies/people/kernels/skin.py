@@ -9,7 +9,7 @@ from h3data.kernels import kernel
 
 @kernel(boundscheck=False)
 def pose_centers(frames, joints, centers, out):
-    """Fill ``out`` [N, K, 3] with ``centers`` [K, 3], each moved by one of the joint ``frames`` [N, J, 4, 4]."""
+    """Fill ``out`` [N, K, 3] with points ``centers`` [K, 3] [m], each moved by one of the joint ``frames`` [N, J, 4, 4]."""
     for n in range(len(frames)):
         for k in range(len(joints)):
             frame = frames[n, joints[k]]

@@ -1,7 +1,8 @@
-"""Feet on stairs, compiled: where on a tread a foot stands, and the path of a swinging foot over the noses of the steps.
+"""Compiled kernels for feet on stairs: the position of a foot on a tread, and the path of a foot over noses of steps.
 
-Places along a flight are in metres upwards from the lower end of its ramp; tread n is around n goings, and 0 is the landing.
-Heel and toe tip of a foot are ``heel`` (negative) and ``toe`` [m] ahead of its ankle.
+Positions along a flight are in metres upwards from the lower end of its ramp; tread n is at about n times the going
+(the depth of a step), and tread 0 is the landing. Heel and toe tip of a foot are ``heel`` (negative) and ``toe`` [m]
+ahead of its ankle.
 """
 
 from __future__ import annotations
@@ -14,21 +15,22 @@ from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at
 BESIDE_M = 0.2
 """Distance before the first riser from which people climb [m]."""
 UP_SHARE, DOWN_SHARE = 0.2, 0.25
-"""Shares of a swing within which the foot gets over the noses, and comes down from there."""
+"""Shares of a swing within which the foot rises over the noses, and within which it descends."""
 EDGE_M = 0.015
-"""Distance beyond heel and toe tip that a swinging foot keeps clear [m], as pitch and bend move them by some millimetres."""
+"""Distance beyond heel and toe tip within which a swinging foot keeps clear of steps [m], as its pitch and bend move
+both by some millimetres."""
 RISER_M, OVERHANG_M, CLEAR_M = 0.025, 0.03, 0.02
-"""Least distance of a foot from the riser in front of it or behind it; largest distance by which heel or toe stand out over the
-edge of a tread, as many feet are nearly as long as a tread; height at which both pass over the noses [m]."""
+"""Smallest distance of a foot from the riser ahead of or behind it; largest distance by which heel or toe stand out
+over the edge of a tread, as many feet are nearly as long as a tread; height at which both pass over the noses [m]."""
 USUAL, DOWN_NEARER = 0.62, 0.3
-"""Shares of a tread: people go on two treads further with each foot, also where the middle of the foot would be nearer to
-another, by the first at most; on the way down feet land nearer to the body by the second, as a foot far ahead and below is out
-of reach."""
+"""Shares of a tread. Each foot moves on by two treads, also if the middle of the foot would be nearer to another tread
+by at most the first share. Downstairs, feet land nearer to the body by the second share, because a foot far ahead and
+below is out of reach."""
 
 
 @kernel_part()
 def tread_length(heights):
-    """Return the going of the first flight of stairs [m]."""
+    """Return the going (depth of a step) of the first flight of stairs [m]."""
     for k in range(len(heights)):
         if heights[k, STEPS] > 0.0:
             return abs(heights[k, END] - heights[k, START]) / heights[k, STEPS]
@@ -37,7 +39,7 @@ def tread_length(heights):
 
 @kernel_part()
 def beside_steps(heights, x, z):
-    """Return whether a place is on a flight of stairs or right before it."""
+    """Return whether a position (x, z) is on a flight of stairs or directly before it."""
     k, _, place = step_at(heights, x, z)
     if k < 0:
         return False
@@ -77,7 +79,9 @@ def under_foot(heights, x, z, heading, heel, toe):
 
 @kernel_part()
 def on_a_tread(heights, x, z, heading, heel, toe, came_from):
-    """Move a place (x, z) of an ankle along the flight just enough to put the foot on one tread; off stairs it stays.
+    """Move a position (x, z) of an ankle along the flight so that the foot is on one tread.
+
+    Away from stairs it is unchanged.
 
     ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
     """

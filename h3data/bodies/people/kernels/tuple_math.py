@@ -1,4 +1,4 @@
-"""Vectors and quaternions (xyzw) as tuples of floats, for compiled kernels: nothing is allocated."""
+"""Vectors and quaternions (xyzw) as tuples of floats, for compiled kernels, without memory allocations."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def plus(a, b, share):
 
 @kernel_part()
 def unit(a):
-    """Return the unit vector in the direction of a vector; 0 for one shorter than 1e-12."""
+    """Return the unit vector in the direction of a vector; 0 for a vector shorter than 1e-12."""
     length = math.sqrt(dot(a, a))
     if length < 1e-12:
         return (0.0, 0.0, 0.0)
@@ -63,7 +63,7 @@ def turned(q, v):
 
 @kernel_part()
 def positive(q):
-    """Return the same rotation as a quaternion with w >= 0."""
+    """Return the quaternion with w >= 0 of the same rotation."""
     return (-q[0], -q[1], -q[2], -q[3]) if q[3] < 0 else q
 
 

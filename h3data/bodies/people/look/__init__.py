@@ -1,5 +1,5 @@
-"""Looks of people: skin, clothes and hair as meshes over the body.
+"""Appearance of people: skin, clothes and hair as meshes over the body.
 
-`patches` are these meshes, over the base that every body shapes in its own form; `wardrobe` lists them; `colors` has
-colours of skin, hair and cloth; `dressing` dresses a body.
+`patches` defines these meshes, which lie over a base mesh that all bodies share. `wardrobe` lists them, `colors` has
+the colours of skin, hair and cloth, and `dressing` dresses a body.
 """

@@ -1,4 +1,4 @@
-"""Colors of people: skin with the paint on it, hair, eyes and cloth."""
+"""Colors of people: skin with its makeup, hair, eyes and cloth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SLOTS = (
 """Parts that have a color of their own. ``shirt`` is seen under a jacket, ``legs`` are tights or socks."""
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 PAINTS = ("lips", "blush", "lashes", "lids", "lines", "stubble", "scalp", "legs")
-"""Paints on skin, in the order in which they are applied: each moves the color towards one of its own."""
+"""Layers of color on skin, in the order in which they are applied; each blends the color towards its own."""
 
 Color = tuple[int, int, int]
 """Colour as sRGB values from 0 to 255."""
@@ -51,7 +51,7 @@ class Complexion:
     blush: float = 0.35
     lashes: float = 0.8
     lines: float = 0.0
-    """Depth of the lines of age, 0..1."""
+    """Depth of wrinkles, 0..1."""
     stubble: float = 0.0
     """Shadow of a shaved beard, 0..1."""
 
@@ -81,7 +81,10 @@ def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
 def vertex_colors(
     patch: Patch, slots: Floats, complexion: Complexion, *, tights: bool, scalp: float
 ) -> NDArray[np.uint8]:
-    """Return the colors of a patch's vertices, uint8 [V, 3]. ``scalp``: how much hair covers the scalp."""
+    """Return the colors of a patch's vertices, uint8 [V, 3].
+
+    ``scalp`` is the degree to which hair covers the scalp.
+    """
     colors = slots[patch.slots]
     if patch.paint.shape[1]:
         skin = np.array(complexion.skin, np.float32)

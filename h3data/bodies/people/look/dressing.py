@@ -27,9 +27,9 @@ class Look:
     outfit: str = "casual"
     """Outfit that the person wears when none is named."""
     palette: int = 0
-    """Number of the person's set of colors among those of an outfit."""
+    """Number of the set of colors that the person wears of an outfit."""
     colors: Mapping[str, Color] = field(default_factory=dict)
-    """Colors by slot in place of those of the set, whatever is worn."""
+    """Colors by slot that replace colors of the set in all outfits."""
 
     def to_json(self) -> str:
         """Return the appearance in the form of body files."""
@@ -74,7 +74,7 @@ def dressed(
 
 
 def without(patch: Patch, faces: Any) -> Patch:
-    """Return the patch without some of its faces and the vertices that only they use."""
+    """Return a patch without some of its faces and without the vertices that only these faces use."""
     import dataclasses
 
     used, compact = np.unique(patch.faces[~faces], return_inverse=True)

@@ -1,7 +1,7 @@
-"""Patches: meshes that lie over the base of any body, be they skin, a garment or hair.
+"""Patches: meshes of skin, garments or hair that lie over the base mesh of any body.
 
-All bodies have the same base vertices in places of their own. A vertex of a patch stands over a point of the base: so much
-along the normal there, and so much in a fixed direction, in lengths of the body.
+All bodies have the same base vertices at different positions. A vertex of a patch is offset from a point of the base
+along the normal there and in a fixed direction, in units of the size of the body.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patch:
-    """A mesh over the base."""
+    """Mesh of skin, a garment or hair that lies over the base mesh of a body."""
 
     corners: NDArray[np.uint16]
     """Three vertices of the base under each vertex, shape [V, 3]."""
     shares: Floats
-    """Weight of each of the three; the weights sum to 1, shape [V, 3]."""
+    """Weights of the three base vertices, which sum to 1, shape [V, 3]."""
     lift: Floats
     """Distance of each vertex along the base's normal [m], shape [V]."""
     offset: Floats | None
-    """Offset of each vertex along the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V,
-    3]."""
+    """Offset of each vertex along the axes of the rest pose, for a body whose ruler has the length ``ruler_m`` [m],
+    shape [V, 3]."""
     ruler: tuple[int, int]
     """Indices of two vertices of the base, whose distance is the length of the ruler."""
     ruler_m: float
@@ -48,12 +48,12 @@ class Patch:
     shade: Floats
     """Factor on the colour of each vertex, shape [V]."""
     paint: NDArray[np.uint8]
-    """Makeup of skin, 0..255, shape [V, `PAINTS`]; no columns for cloth."""
+    """Strength of each layer of `PAINTS` on skin, 0..255, shape [V, `PAINTS`]; cloth has no columns."""
     body_normals: bool
     """True if the patch is shaded with the normals of the base instead of its own."""
 
     def placed(self, vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
-        """Return vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""
+        """Return the vertices [V, 3] [m] and normals of the patch over a base mesh [B, 3] [m] with normals."""
         point = np.einsum("vk,vkj->vj", self.shares, vertices[self.corners])
         up = normalized(np.einsum("vk,vkj->vj", self.shares, normals[self.corners])).astype(np.float32)
         point += self.lift[:, None] * up
@@ -64,7 +64,7 @@ class Patch:
 
 
 def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
-    """Return the patch whose arrays in a file begin with ``prefix``."""
+    """Return the patch whose arrays in a file have names with ``prefix``."""
     shares = data[f"{prefix}/shares"].astype(np.float32)
     # the third one is what is left of 255, so that files hold two
     shares = np.concatenate([shares, 255 - shares.sum(axis=1, keepdims=True)], axis=1) * np.float32(SHARE_UNIT)
@@ -89,7 +89,7 @@ def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
 
 
 def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Return triangles in an order that compresses well: each begins with its first vertex, and all are sorted."""
+    """Return triangles in an order that compresses well: each starts with its lowest vertex index, and all are sorted."""
     first = faces.argmin(axis=1)
     # turned and not sorted: the order of the corners tells which side is outside
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -97,7 +97,7 @@ def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
 
 
 def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Pack canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes of small differences [3, 2, F].
+    """Pack canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes [3, 2, F] of small differences.
 
     They compress to half the size.
     """
@@ -115,9 +115,9 @@ def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
-    """Return unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
+    """Return unit normals per vertex [V, 3], the mean of the adjacent faces weighted by their areas.
 
-    They point up where faces are degenerate. Vertices of the same ``surface`` [V] are shaded as one.
+    Normals at degenerate faces point up. Vertices with the same number in ``surface`` [V] share a normal.
     """
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)

@@ -1,4 +1,4 @@
-"""The wardrobe of the built-in bodies: outfits and hairstyles by name, and the patches that they are made of."""
+"""The wardrobe of the built-in bodies: outfits and hairstyles by name, and the patches of which they consist."""
 
 from __future__ import annotations
 
@@ -131,12 +131,12 @@ HAIRSTYLES = (
     "scarf",
 )
 SCALP = {"receding": 0.12, "crop": 0.85}
-"""Share of the hair's color in the scalp, by hair style; styles without an entry have the usual share."""
+"""Share of the hair's color in the scalp, by hair style; styles without an entry have the default share."""
 SCALP_USUAL = 0.6
 
 
 def split_outfit(name: str) -> tuple[str, str]:
-    """Return the body and the outfit of a name such as ``female_0:dress``; the outfit is empty if the name has none."""
+    """Split a name such as ``female_0:dress`` into body and outfit; the outfit is empty if the name has none."""
     # the last colon, as random:SEED has one of its own
     body, _, outfit = name.rpartition(SEPARATOR)
     return (body, outfit) if body and outfit in OUTFITS else (name, "")
@@ -153,7 +153,7 @@ class Wardrobe:
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
-        """Return the faces of the skin that are invisible below these pieces [F]."""
+        """Return which faces of the skin are hidden below these pieces of clothing, bool [F]."""
         count = self.data[f"skin/{detail}/faces"].shape[-1]
         # a bit for each face, eight to the byte, as files hold them
         bits = np.zeros((count + 7) // 8, np.uint8)
