@@ -1,3 +1,1 @@
-"""Tasks of a robot that drives to a goal or meets situations from cards among several people, and baselines for
-them.
-"""
+"""Tasks of a robot that drives to a goal or meets situations from cards among several people, with baselines."""

@@ -55,9 +55,7 @@ class Card(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Layout(NamedTuple):
-    """Layout of a scenario card, with sampled numbers in place of its ranges, in the frame (along, right) of a
-    place.
-    """
+    """Layout of a scenario card in the frame (along, right) of a place, with sampled numbers in place of its ranges."""
 
     robot: Array
     """Start and goal of the robot [2, 2] [m]."""

@@ -210,8 +210,7 @@ class ChoreRoutine(Routine):
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
     ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
-        """Return the errand at a stop, as `Routine.errand_at` does; a chore that cannot be planned is refused with a
-        reason.
+        """Return the errand at a stop, as `Routine.errand_at` does; an impossible chore is refused with a reason.
 
         Chores that are impossible now are skipped, e.g. because the hands are full or empty, or the thing has been
         taken.
@@ -424,8 +423,9 @@ def chore_at(
 
 
 def breakfast(episode: Any, number: int) -> ChoreRoutine:
-    """Return the breakfast routine of an agent, sampled by the seed: they take things, lay the table, eat, and look at
-    a phone.
+    """Return the breakfast routine of an agent, sampled by the seed.
+
+    They take things, lay the table, eat, and look at a phone.
 
     Raises:
         SceneError: The home has no things for any of it.
@@ -560,8 +560,9 @@ class Leaf(NamedTuple):
     """Half sizes of the panel [3] [m]."""
 
     def depth(self, points: Array, root: Array, k: NDArray[np.intp]) -> Array:
-        """Return the depth in the panel [T, C] [m] of the deepest of points [T, C, P, 3] in the agent root frame, at
-        angles ``k`` [T].
+        """Return the depth in the panel [T, C] [m] of points [T, C, P, 3] in the agent root frame, at angles ``k`` [T].
+
+        Of P points, the deepest counts.
 
         It is negative outside the panel.
         """

@@ -1,6 +1,4 @@
-"""Crowd navigation (PointGoal among people), in which a robot drives to a place in a home where several people walk
-about.
-"""
+"""Crowd navigation (PointGoal among people), in which a robot drives to a place in a home with walking people."""
 
 from __future__ import annotations
 
@@ -99,9 +97,7 @@ class CrowdNav(Task):
         return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Reward progress and arrival, and penalise contact with a person, which ends the episode if the rules say
-        so.
-        """
+        """Reward progress and arrival, and penalise contact with a person, which may end the episode."""
         xp, memory, spec, world = play.xp, play.memory, play.spec, play.world
         memory["goal"] = self.moved_goals(play)
         left, before = self._left(play, memory["goal"]), memory["left"]
@@ -142,9 +138,7 @@ class CrowdNav(Task):
         return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of every task, and for robots the distance [m] and the angle of the goal [rad],
-        positive to the right.
-        """
+        """Return the sensors of every task, and for robots the goal's distance [m] and angle [rad], positive to the right."""
         goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 

@@ -1,6 +1,4 @@
-"""Places for scenarios: frames found by geometry on the free floor of a home, or small floor plans built where none
-fits.
-"""
+"""Places for scenarios, which are frames on the free floor of a home, or small floor plans if none fits."""
 
 from __future__ import annotations
 
@@ -43,9 +41,7 @@ def axes_of(heading: Array) -> Array:
 
 
 def lines_of(layout: Layout, kind: PlaceKind) -> Array:
-    """Return points (along, right) [N, 2], 0.25 m apart, on the straight lines along which the agents of a layout
-    move.
-    """
+    """Return points (along, right) [N, 2], 0.25 m apart, on the straight lines of the agents of a layout."""
     tracks = [layout.robot, *(np.vstack([s, p]) for s, p in zip(layout.starts, layout.paths, strict=True))]
     if kind in ("corner", "route", "door", "cabin"):  # all who change sides go through the origin
         tracks = [np.vstack([t[:1], np.zeros((1, 2)), t[1:]]) if len(t) > 1 else t for t in tracks]

@@ -106,9 +106,7 @@ def _among_people(view: AgentView, base: BaseSpec, *, forces: bool) -> Velocity:
 
 
 def orca(view: AgentView, base: BaseSpec) -> Velocity:
-    """Avoid people by reciprocal velocity obstacles (`sim_kinematic.crowd.orca`), with the robot making the whole
-    change.
-    """
+    """Avoid people by reciprocal velocity obstacles (`sim_kinematic.crowd.orca`), with only the robot giving way."""
     return _among_people(view, base, forces=False)
 
 
@@ -197,9 +195,7 @@ _WINDOW = np.repeat(np.array([(speed, turn) for speed in SPEEDS for turn in TURN
 
 
 def dwa(view: AgentView, base: BaseSpec) -> Velocity:
-    """Choose a command by the dynamic window approach (Fox et al. 1997): the best of 63 constant commands over the
-    next 0.8 s.
-    """
+    """Choose the best of 63 constant commands over the next 0.8 s by the dynamic window approach (Fox et al. 1997)."""
     return _best_plan(view, base, _WINDOW[:, : round(WINDOW_S / PIECE_S)])
 
 

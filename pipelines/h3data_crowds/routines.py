@@ -78,9 +78,7 @@ BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
 
 
 def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
-    """Return the posture for an activity from ``postures``: one with the activity's name, its general posture, or
-    ``stand``.
-    """
+    """Return the posture for an activity: one with the activity's name, its general posture, or ``stand``."""
     own = ACTIVITIES[activity].posture if activity in ACTIVITIES else activity
     return next((name for name in (activity, own) if name in postures), "stand")
 
@@ -182,9 +180,7 @@ class Routine:
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
     ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
-        """Return the place and errand of stop ``k`` as `next_stop` does, or an errand that is refused
-        (`Errand.refused`).
-        """
+        """Return the place and errand of stop ``k`` as `next_stop` does, or a refused errand (`Errand.refused`)."""
         stop, refused = self.stops[k], ("", "")
         posture = posture_of(stop.activity, ("stand", "sit", "lie"))
         if self._seats is not None and posture != "stand":

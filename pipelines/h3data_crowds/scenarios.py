@@ -178,9 +178,7 @@ class Scenarios(CrowdNav):
         return {**super().begin(play, rows), **more, "passed": np.zeros((len(zeros), people), np.bool_)}
 
     def goals(self, play: WorldRollout) -> Any:
-        """Return the current goal of the robot of each world (x, z) [W, 2] [m], which moves with people in some
-        modes.
-        """
+        """Return the current goal of each world's robot (x, z) [W, 2] [m], which moves with people in some modes."""
         goals = play.extra("goal")
         own = play.world.state.agents[0].xz
         for w, episode in enumerate(play.episodes):
@@ -248,9 +246,7 @@ class Scenarios(CrowdNav):
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of `CrowdNav`, and for robots ``gesture``: 1 if a person signals to wait, 2 to proceed,
-        else 0.
-        """
+        """Return the sensors of `CrowdNav`, and for robots ``gesture`` (1: a person signals to wait, 2: to proceed, 0: none)."""
         more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
         return {**super().sensors(kind), **more}
 

@@ -16,9 +16,7 @@ from h3data_gpu.pool import Pool, mesh_arrays
 
 
 class Deformables:
-    """Deformable meshes of all scenes, which precede all other meshes in the pool to keep the per-vertex tables
-    short.
-    """
+    """Deformable meshes of all scenes, which precede other meshes in the pool to keep per-vertex tables short."""
 
     def __init__(self, scenes: Sequence[GpuScene]) -> None:
         self.scenes = scenes

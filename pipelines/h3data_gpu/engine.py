@@ -1,5 +1,4 @@
-"""Back end ``gpu`` of `h3data.render.Renderer`, with the same methods as on the CPU and tensors on the device as
-outputs.
+"""Back end ``gpu`` of `h3data.render.Renderer`, whose outputs are tensors on the device.
 
 Poses come from the host. For thousands of worlds, or if poses are on the device already, use `GpuRenderer`.
 """
@@ -42,9 +41,7 @@ class GpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Set the transforms [n, 4, 4] (mesh to world) of instances in one world; they are uploaded with the next
-        image.
-        """
+        """Set the transforms [n, 4, 4] (mesh to world) of instances in one world, to be uploaded with the next image."""
         self._matrix[world, instances] = matrices
         self._poses_stale = True
 

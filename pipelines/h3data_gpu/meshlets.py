@@ -1,5 +1,4 @@
-"""Division of meshes for the GPU into clusters of at most 64 triangles and 128 vertices, and groups of at most 32
-clusters.
+"""Division of meshes into clusters of at most 64 triangles and 128 vertices, and groups of at most 32 clusters.
 
 Splits minimise the surface of bounding boxes (the surface area heuristic of ray tracing). Meshes are split into groups
 at binned positions (Wald 2007), and each group into clusters at multiples of 64 triangles.

@@ -47,9 +47,7 @@ class Pool:
         face_textures: NDArray,
         face_instances: NDArray,
     ) -> NDArray[Any]:
-        """Append the clusters of a mesh and return its groups as boxes [G]; arguments ``face_...`` have a row for
-        each triangle.
-        """
+        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` have a row per triangle."""
         clusters = boxes(cut.low, cut.high)
         counts = np.diff(cut.first_vertex)
         clusters["first"] = counts | cut.triangle_count << 16 | np.where(cut.cut_out, _CUT_OUT, np.int32(0))

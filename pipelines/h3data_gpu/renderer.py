@@ -244,9 +244,7 @@ class GpuRenderer:
         self._run_deform()
 
     def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that block light from surfaces (`Renderer.set_blockers`) from the host, one set for each
-        world.
-        """
+        """Set the capsules that block light (`Renderer.set_blockers`) from the host, one set for each world."""
         if len(blockers) != self.worlds:
             raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)
@@ -431,8 +429,7 @@ class GpuRenderer:
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
-        """Return ``step`` captured as a CUDA graph, which reads and writes the same tensors with hardly any work in
-        Python.
+        """Return ``step`` captured as a CUDA graph, which reads and writes the same tensors with little work in Python.
 
         ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors that
         are on the device already. Each call overwrites the tensors that it returns. A graph is worthwhile for few

@@ -39,8 +39,7 @@ class TorchSkin:
         self._inverse_bind = torch.from_numpy(body.inverse_bind).to(self.device, torch.float32)
 
     def __call__(self, joint_matrices: torch.Tensor) -> torch.Tensor:
-        """Return world vertices, float32 [..., V, 3] [m], for transforms of joints to the world [..., 55, 4, 4] on
-        their device.
+        """Return world vertices, float32 [..., V, 3] [m], for transforms of joints to the world [..., 55, 4, 4].
 
         The leading axes may be worlds, frames, or both. The result is a view of vertex-major memory; call
         ``contiguous()`` if the order of the memory matters.

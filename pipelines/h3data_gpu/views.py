@@ -27,16 +27,12 @@ class Variant(NamedTuple):
     """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Return the dynamic shared memory of a block for pixels, coarse depth, scratch of each warp and the list of
-        items [bytes].
-        """
+        """Return the dynamic shared memory of a block [bytes], for pixels, coarse depth, scratch of warps and list of items."""
         return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 
 def choose_variant(worlds: int, width: int, height: int) -> Variant:
-    """Return the variant that was measured to be fastest: small tiles if there are few blocks, large ones for small
-    images.
-    """
+    """Return the fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
     pixels, longer = worlds * width * height, max(width, height)
     if worlds < 64:
         few = Variant(8, 8, 4) if pixels < 100_000 else Variant(16, 8, 4)

@@ -58,8 +58,7 @@ class PatientEndpoint:
 
 
 class BackgroundModel:
-    """Policy of a language model in a live game, where the current action continues while the model computes its
-    answer.
+    """Policy of a language model in a live game, where the current action continues during the model's computation.
 
     A robot without an action stands still.
     """

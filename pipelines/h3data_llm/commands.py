@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LlmShow:
-    """Show each answer of the language models in recordings, with its step, its call or text, and the reason if it was
-    invalid.
+    """Show each answer of language models in recordings, with step, call or text, and the reason if it was invalid.
 
     The last lines are the totals of answers, tokens and time. h3data metrics ds --profile llm gives them for each
     episode, with means.

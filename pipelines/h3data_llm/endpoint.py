@@ -1,6 +1,4 @@
-"""Chat endpoints, with their addresses and options, and requests that are answered in time or fail with a clear
-error.
-"""
+"""Chat endpoints with their addresses and options, and requests that are answered in time or fail clearly."""
 
 from __future__ import annotations
 

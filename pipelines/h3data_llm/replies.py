@@ -99,8 +99,7 @@ class Replayed(NamedTuple):
 
 
 def played_again(recording: Recording) -> list[Replayed]:
-    """Carry out the recorded answers with the current prompts and parser, without an endpoint; other agents decide
-    again.
+    """Carry out recorded answers with the current prompts and parser, without an endpoint; other agents decide again.
 
     Raises:
         InputError: no language model took part, or the recording cannot be simulated again.

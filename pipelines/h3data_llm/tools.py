@@ -129,8 +129,9 @@ def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> t
 
 
 def schemas_of(tools: Sequence[Tool], names: Names) -> list[dict[str, Any]]:
-    """Return the tools in the JSON format of chat requests; names of furniture appear only in the text about the
-    home.
+    """Return the tools in the JSON format of chat requests, without the names of furniture.
+
+    These names appear only in the text about the home.
     """
     return [
         {

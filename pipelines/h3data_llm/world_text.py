@@ -46,9 +46,7 @@ class WorldText:
         self._furniture = furniture
 
     def home(self) -> str:
-        """Return a text about rooms with their furniture, doors and drawers, which does not change during an
-        episode.
-        """
+        """Return a text about rooms with furniture, doors and drawers, which does not change during an episode."""
         lines = ["The home, room by room, with furniture on which things can be put:"]
         opens: dict[str, list[str]] = {}
         for joint in self.names.openings:
@@ -89,8 +87,9 @@ class WorldText:
         return f"{where}, in {room}" if room else where
 
     def surface_of(self, point: Any) -> tuple[str, bool]:
-        """Return the furniture on which a world point [3] [m] lies ("" for none), and whether it is behind a door or in
-        a drawer.
+        """Return the furniture on which a world point [3] [m] lies ("" for none), and whether it is in a closed space.
+
+        Closed spaces are those behind a door or in a drawer.
         """
         x, y, z = (float(value) for value in point)
         best, found = np.inf, ("", False)

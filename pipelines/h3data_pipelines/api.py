@@ -1,5 +1,4 @@
-"""Python functions that run jobs, such as ``h3data.generate`` and ``h3data.evaluate``, and return objects instead of
-text.
+"""Python functions that run jobs, such as ``h3data.generate`` and ``h3data.evaluate``, and return objects.
 
 Each function is imported at first use, from the module of its command.
 """

@@ -39,8 +39,7 @@ def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
 
 
 def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Write the per-row series of each recording to ``.parquet`` (one row group each) or ``.csv``; return the number of
-    rows.
+    """Write per-row series of recordings to ``.parquet`` (one row group each) or ``.csv``; return the number of rows.
 
     Columns: episode_id, row, time_ns, then the series of the first recording; series that a later recording lacks are
     null.
@@ -52,8 +51,7 @@ def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], 
 
 
 def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Write the runs of rows in which flags of a profile hold to ``.parquet`` or ``.csv``, and return the number of
-    runs.
+    """Write runs of rows in which a profile's flags hold to ``.parquet`` or ``.csv``; return the number of runs.
 
     Columns: episode_id, what (the flag), first_row, last_row, seconds.
     """

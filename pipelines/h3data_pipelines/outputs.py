@@ -65,8 +65,7 @@ class Target:
     def open(
         self, camera: Camera, fps: float, picture: ToPicture, *, encoder_threads: int = 1
     ) -> AbstractContextManager[Sink]:
-        """Provide a sink for the frames; the file gets its final name at the end of the block, unless an exception
-        occurs.
+        """Provide a sink for the frames, whose file gets its final name at the end of the block unless an error occurs.
 
         ``encoder_threads`` is the number of threads of an H.264 encoder, on which the bytes of the file depend.
         """

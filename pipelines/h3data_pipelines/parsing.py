@@ -52,8 +52,7 @@ class Invocation:
 
 
 def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Invocation:
-    """Return the command that ``args`` name, with its options; print help or the version and raise `SystemExit` if
-    asked for.
+    """Return the command that ``args`` name, with its options; after help or the version, raise `SystemExit`.
 
     Raises:
         InputError: a command or option does not exist or is missing, or a value has the wrong type.

@@ -33,9 +33,7 @@ def task_names() -> tuple[str, ...]:
 
 
 def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
-    """Mark an option of the tasks that satisfy a test; ``others`` are names other than tasks that have the option
-    too.
-    """
+    """Mark an option of the tasks that satisfy a test; ``others`` are names other than tasks that have it too."""
 
     def has(name: str) -> bool:
         task = _found(name)

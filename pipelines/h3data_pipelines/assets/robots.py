@@ -27,8 +27,7 @@ UpChoice = Annotated[
 
 @dataclass(frozen=True)
 class RobotsShow:
-    """Render robots from several sides, at rest and with the hand moving around a circle. Without -o, robots are only
-    listed.
+    """Render robots from several sides, at rest and with the hand on a circle; without -o, only list them.
 
     Examples:
         h3data robots show
@@ -204,9 +203,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def encode_settings(settings: RobotSettings) -> str:
-    """Return the text of a ``robot.toml`` with all fields that differ from their defaults, and the discs of the
-    base.
-    """
+    """Return the text of a ``robot.toml`` with all fields that differ from their defaults, and the base's discs."""
     lines: list[str] = []
     tables: list[str] = []
     for name, value in msgspec.structs.asdict(settings).items():

@@ -36,8 +36,7 @@ _LIST_SCALE = 0.42
 def scene_map(
     scene: Scene, free: FreeSpace, *, problems: Sequence[Problem] = (), pixels_per_m: float = 80.0
 ) -> NDArray[np.uint8]:
-    """Return an annotated plan, RGB [H, W, 3]: with room names, free floor, receptacles, numbered problems and a scale
-    bar.
+    """Return an annotated plan, RGB [H, W, 3], with room names, free floor, receptacles, numbered problems and a scale.
 
     The largest island of ``free`` is green, and all others are orange. Receptacles are violet frames. Problems are
     listed by number below the plan.

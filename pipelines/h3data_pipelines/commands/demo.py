@@ -1,6 +1,4 @@
-"""Command ``h3data demo``, which simulates one episode in every room of a home, offline, and shows metrics, a
-picture and videos.
-"""
+"""Command ``h3data demo``, which simulates one episode in a home and makes metrics, a picture and videos."""
 
 from __future__ import annotations
 

@@ -78,8 +78,7 @@ def evaluate(
     resume: bool = False,
     force: bool = False,
 ) -> EvaluationResult | SkillEvaluationResult:
-    """Play policies in the same episodes and measure them, as in ``evaluate("social_nav", "out",
-    policies=["end_to_end", Mine])``.
+    """Play policies in the same episodes and measure them: ``evaluate("social_nav", "out", policies=["end_to_end", Mine])``.
 
     ``h3data evaluate TASK --help`` explains the options, which have the same names there.
 

@@ -1,6 +1,4 @@
-"""Command ``h3data generate``, which simulates episodes into datasets and can be interrupted and resumed at any
-time.
-"""
+"""Command ``h3data generate``, which simulates episodes into datasets and can be interrupted and resumed."""
 
 from __future__ import annotations
 

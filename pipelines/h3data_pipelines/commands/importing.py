@@ -42,8 +42,7 @@ def import_(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Convert recordings of other programs to MCAP recordings in the folder ``out``; the options are those of ``h3data
-    import``.
+    """Convert recordings of other programs to MCAP recordings in ``out``, with the options of ``h3data import``.
 
     Returns:
         The outcome for every file.
@@ -57,8 +56,9 @@ def import_(
 
 @command_of(import_)
 class Import:
-    """Convert recordings of other programs to MCAP recordings. Folders are searched, and formats are detected by
-    content.
+    """Convert recordings of other programs to MCAP recordings.
+
+    Folders are searched, and formats are detected by content.
 
     The command reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, bags of ROS 2, tracks of people
     in files of public datasets (h3data docs ros), and formats of plug-ins (h3data docs import).

@@ -1,6 +1,4 @@
-"""Command ``h3data info``, which shows the contents of recordings, datasets and episode files without measuring or
-rendering.
-"""
+"""Command ``h3data info``, which shows the contents of recordings, datasets and episode files."""
 
 from __future__ import annotations
 

@@ -42,8 +42,9 @@ _DECIDES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True)
 class Origin:
-    """Properties of the requesting process that a worker must share to compute identical bytes, and its working
-    directory.
+    """Properties of the requesting process that a worker must share, and its working directory.
+
+    A worker with the same properties computes identical bytes.
     """
 
     code: str

@@ -18,9 +18,7 @@ _BLOCK = 8 << 20
 
 
 def files_of(root: Path) -> list[str]:
-    """Return the paths of all files of a dataset relative to its root, without checksums and leftovers of
-    interrupted writes.
-    """
+    """Return the paths of all files of a dataset relative to its root, without checksums and unfinished files."""
     found = (path for part in PARTS for path in (root / part).rglob("*") if path.is_file())
     names = (path.relative_to(root).as_posix() for path in found if path.suffix != ".part")
     return sorted(name for name in names if name != FILE)

@@ -60,8 +60,7 @@ FILES = ("env.py", "requirements.txt", "README.md")
 
 
 def write_env(dataset: Dataset, folder: Path, *, repo: str) -> list[Path]:
-    """Write ``env.py``, ``requirements.txt`` and ``README.md`` for the dataset ``repo`` on the Hub, and return their
-    paths.
+    """Write ``env.py``, ``requirements.txt`` and ``README.md`` for the Hub dataset ``repo``, and return their paths.
 
     LeRobot looks for ``env.py`` in a model repository, which is separate from the dataset repository of the same name.
 

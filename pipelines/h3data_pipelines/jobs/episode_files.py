@@ -215,9 +215,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 
 def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
-    """Return one step of an episode with the most objects, for the columns of a dataset whose episodes have
-    different numbers.
-    """
+    """Return one step of an episode with the most objects, which determines the columns of a dataset."""
     counts = [getattr(job.spec, "objects", 0) for job in jobs]
     if len(set(counts)) < 2:
         return ()

@@ -1,6 +1,4 @@
-"""Jobs that each simulate one episode of any task, sampled in presets and scenes from a seed, or taken from scene
-sets.
-"""
+"""Jobs that each simulate one episode of any task, sampled in scenes from a seed or taken from scene sets."""
 
 from __future__ import annotations
 
@@ -472,9 +470,7 @@ def _named_default(task: Task, kind: str) -> str | None:
 
 
 def stored_person(name: str) -> str:
-    """Return the name of a person in the identity of episodes, in which a motion is named by its digest instead of
-    its path.
-    """
+    """Return the name of a person in the identity of episodes, where a digest represents a motion."""
     from h3data.bodies.names import JOIN
 
     if JOIN not in name:

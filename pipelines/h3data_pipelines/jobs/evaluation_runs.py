@@ -1,5 +1,4 @@
-"""Evaluations in a folder, with a small file of results for each episode, tables of all results, and optional
-recordings.
+"""Evaluations in a folder, with results of each episode, tables of all results, and optional recordings.
 
 ``episodes/000012.json`` has the rows of one episode, and ``recordings/000012`` is a dataset with its recordings.
 """
@@ -80,9 +79,7 @@ class EvaluationRequest:
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """Return the evaluations of all episodes and the missing data of a file, or raise an `InputError` for an
-        invalid option.
-        """
+        """Return the evaluations of all episodes and the missing data, or raise an `InputError` for an invalid option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task

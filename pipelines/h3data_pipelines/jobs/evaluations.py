@@ -121,9 +121,7 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
 
 
 def episode_uid(task: Task, episode: Episode) -> str:
-    """Return the identity of an episode, which depends on scene, bodies, starts, goals, seed and rules but not on
-    policies.
-    """
+    """Return the identity of an episode by scene, bodies, starts, goals, seed and rules, but not policies."""
     from sim_kinematic.policies.assignment import AssignedPolicy
 
     return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])

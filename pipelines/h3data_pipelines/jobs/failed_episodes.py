@@ -31,9 +31,7 @@ def reason_of(fault: Exception) -> str:
 
 
 def failed_recording(job: Job, fault: Exception) -> Recording:
-    """Return the placeholder of a job that raised an error, without agents and rows, and with the error in
-    ``info["failed"]``.
-    """
+    """Return the placeholder of a failed job, without agents and rows, and with the error in ``info["failed"]``."""
     name = f"h3data:failed:{json.dumps(job.to_json())}"
     return Recording(
         episode=Episode(
@@ -61,8 +59,9 @@ def is_failed(recording: Recording) -> bool:
 
 
 def beside(failed: Recording, played: Recording) -> Recording:
-    """Return a failed episode without rows, with the agents, roles and columns of ``played``, so that both fit one
-    dataset.
+    """Return a failed episode without rows, with the agents, roles and columns of ``played``.
+
+    Both can then be in one dataset.
     """
     columns = {name: array[:0] for name, array in played.columns.items()}
     nowhere = np.full(7, np.nan, np.float32)

@@ -81,8 +81,9 @@ def row_name(pattern: str, policies: Sequence[str]) -> str:
 
 
 def rows_of(policies: Sequence[str], seeds: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the policies of each row of a table, by row name; a row of several has the position of its first
-    policy.
+    """Return the policies of each row of a table, by row name.
+
+    A row of several policies has the position of its first policy.
     """
     rows: dict[str, tuple[str, ...]] = {}
     of = {policy: pattern for pattern, members in seeds.items() for policy in members}

@@ -33,9 +33,7 @@ class ArmTouch(NamedTuple):
 
 
 class ArmContact:
-    """Contact detection between the moving part of one robot's arm, the object it holds, and the static things of
-    one scene.
-    """
+    """Contact detection between one robot's moving arm, the object it holds, and the static things of a scene."""
 
     def __init__(self, scene: Scene, robot: Robot, *, scenery: FclScene | None = None) -> None:
         """Build the collision worlds; an existing ``scenery`` avoids building that of the scene again."""
@@ -91,9 +89,7 @@ class ArmContact:
 
 
 def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, step: int, agent: int) -> list[Event]:
-    """Return an event ``contact`` with its depth for each pair that touches now and did not touch in the step
-    ``before``.
-    """
+    """Return an event ``contact`` with depth for each pair that touches now and did not in the step ``before``."""
     known = {(t.part, t.thing) for t in before}
     return [
         Event(step=step, agent=agent, kind="contact", target=t.thing, detail=f"{t.part}, {t.depth_m:.3f} m")

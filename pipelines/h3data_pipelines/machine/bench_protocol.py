@@ -153,8 +153,7 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """Render the view of each agent (or of the arm camera) in each world, as images [agents * W, H, W', ...] by
-        output.
+        """Render the view of each agent (or arm camera) in each world, as images [agents * W, H, W', ...] by output.
 
         All worlds of the first agent come first.
         """
@@ -173,9 +172,7 @@ class BenchmarkWorlds:
         return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:
-        """Measure the time of ``steps`` random steps without the first ``untimed``, excluding sampling of actions
-        and resets.
-        """
+        """Measure the time of ``steps`` random steps after the first ``untimed``, without sampling and resets."""
         if not 0 <= untimed < steps:
             raise InputError(
                 f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",

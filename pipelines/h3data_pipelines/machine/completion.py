@@ -1,6 +1,4 @@
-"""Command ``h3data completion``, which prints scripts for the completion of commands, options and choices in a
-shell.
-"""
+"""Command ``h3data completion``, which prints scripts for the completion of commands and options in a shell."""
 
 from __future__ import annotations
 

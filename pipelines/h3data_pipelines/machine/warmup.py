@@ -28,8 +28,7 @@ from h3data_pipelines.execution.processes import core_count
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile all kernels now, on all cores, so that later commands start at once; this is needed once per machine and
-    version.
+    """Compile all kernels now, on all cores, once per machine and version, so that later commands start at once.
 
     The package h3data-kernels contains most kernels in compiled form for Linux on x86-64; `h3data doctor` shows whether
     they are used.

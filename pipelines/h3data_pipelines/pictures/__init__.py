@@ -1,3 +1,1 @@
-"""Command ``h3data rerender`` (`rerender`), which writes videos and images from any camera, and its frame loop
-(`rendering`).
-"""
+"""Command ``h3data rerender`` (`rerender`), which writes videos and images, and its frame loop (`rendering`)."""

@@ -99,8 +99,7 @@ def _moved(
 
 
 def flow_to_rgb(flow: ArrayLike, *, longest_px: float | None = None) -> NDArray[np.uint8]:
-    """Convert flow [H, W, 2] [px] to RGB [H, W, 3], where hue is direction (red to the right), white no motion, and
-    dark NaN.
+    """Convert flow [H, W, 2] [px] to RGB [H, W, 3]; hue is direction (red to the right), white no motion, dark NaN.
 
     Colours are saturated at ``longest_px``, by default the 99th percentile of the lengths of flow vectors.
     """

@@ -111,9 +111,7 @@ class _InOrder:
 
 
 def frames_per_second(replay: Replay, steps: range) -> float:
-    """Return the frame rate at which a video of ``steps`` runs in real time, but at least 1, as players reject lower
-    rates.
-    """
+    """Return the frame rate for ``steps`` in real time [Hz], but at least 1, because players reject lower rates."""
     times = replay.recording.columns["time_ns"]
     return max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0) if len(times) > 1 else 30.0
 

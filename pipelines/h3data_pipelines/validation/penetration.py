@@ -1,5 +1,4 @@
-"""Depths by which the bodies of a recording penetrate the home, by FCL for every part of every agent and for held
-things.
+"""Depths by which bodies of a recording penetrate the home, by FCL for all parts of agents and held things.
 
 The simulation keeps the base of a robot and the path of a person out of walls and furniture, but does not check arms
 and feet. This module checks them afterwards.

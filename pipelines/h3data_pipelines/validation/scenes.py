@@ -1,5 +1,4 @@
-"""Detection of scene faults that affect agents: cut-off floor, tight passages, floating objects, receptacles out of
-reach.
+"""Detection of scene faults that affect agents, such as tight passages, floating objects and cut-off floor.
 
 Overlapping objects are detected in `h3data_pipelines.validation.overlaps`, which needs FCL.
 """
