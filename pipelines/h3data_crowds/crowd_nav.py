@@ -138,7 +138,7 @@ class CrowdNav(Task):
         return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of every task, and for robots the goal's distance [m] and angle [rad], positive to the right."""
+        """Return the sensors of every task, and for robots distance [m] and angle [rad] (right: > 0) of the goal."""
         goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 

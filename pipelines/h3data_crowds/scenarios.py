@@ -246,7 +246,7 @@ class Scenarios(CrowdNav):
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of `CrowdNav`, and for robots ``gesture`` (1: a person signals to wait, 2: to proceed, 0: none)."""
+        """Return the sensors of `CrowdNav`, and for robots ``gesture`` (0: none, 1: wait, 2: proceed)."""
         more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
         return {**super().sensors(kind), **more}
 

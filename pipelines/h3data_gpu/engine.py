@@ -41,7 +41,7 @@ class GpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Set the transforms [n, 4, 4] (mesh to world) of instances in one world, to be uploaded with the next image."""
+        """Set the transforms [n, 4, 4] (mesh to world) of instances in one world, which the next image uses."""
         self._matrix[world, instances] = matrices
         self._poses_stale = True
 

@@ -27,7 +27,7 @@ class Variant(NamedTuple):
     """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Return the dynamic shared memory of a block [bytes], for pixels, coarse depth, scratch of warps and list of items."""
+        """Return the dynamic shared memory of a block for pixels, depth, scratch and list of items [bytes]."""
         return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 

@@ -1,4 +1,4 @@
-"""Command line ``h3data``, with exit codes 0 (done), 1 (done with failures), 2 (invalid input) and 130 (interrupted)."""
+"""Command line ``h3data``, with exit codes 0 (done), 1 (failures), 2 (invalid input) and 130 (interrupted)."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class ActionRepeat:
         """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Advance all worlds by a repeated action [W, A], and return `Worlds.repeat_action`'s results as new tensors."""
+        """Advance all worlds by a repeated action [W, A], and return new tensors as `Worlds.repeat_action` does."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()

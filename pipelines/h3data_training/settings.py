@@ -20,7 +20,7 @@ CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of one training run, in which rates are linear in progress (0 at the start and 1 at the end of the run)."""
+    """Settings of one training run, in which rates are linear in progress (0 at the start, 1 at the end)."""
 
     scenes: str = "h3-homes/train"
     """Name of a scene or several names, separated by commas (`h3data_training.episodes.listed_scenes`)."""
@@ -209,7 +209,7 @@ class Settings:
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
     def looking_ahead(self, steps: float) -> Settings:
-        """Return settings with a horizon of ``steps`` of 1/30 s at the end of the run, and in proportion at its start."""
+        """Return settings with a horizon of ``steps`` of 1/30 s at the end, and in proportion at the start."""
         if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
             raise InputError(
                 f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps.",

@@ -43,7 +43,7 @@ class ActionRepeatEnv(ActionRepeat):
         hold: int | None = None,
         count: int | None = None,
     ) -> None:
-        """Create ``count`` worlds, by default those of the settings, of which each of several processes has its share."""
+        """Create ``count`` worlds (default: this process's share of those in the settings)."""
         super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.bank, self.follow_steps = bank, settings.follow_steps
         self._light: LightMode = settings.light

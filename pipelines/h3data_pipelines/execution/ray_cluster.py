@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Run shards as `Executor.run`. An exception ends the job, but a process that dies affects only its own shards."""
+        """Run shards; an exception ends the job, but a process that dies affects only its own shards."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):

@@ -84,7 +84,7 @@ class CrossPlayTable:
         return SeedsSummary(each={name: cell for name, cell in found.items() if cell is not None})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows that combine several policies."""
+        """Return the table as JSON types; NaN becomes None, and ``seeds`` has the rows of several policies."""
         pooled = [
             {
                 "metric": metric.name,

@@ -79,7 +79,7 @@ class EvaluationRequest:
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """Return the evaluations of all episodes and the missing data, or raise an `InputError` for an invalid option."""
+        """Return all evaluations and the missing data, or raise an `InputError` for an invalid option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
@@ -138,7 +138,7 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``unseen_partners``, with learned policies named by the digest of their weights, as in recordings."""
+        """Names in ``unseen_partners``, in which the digest of their weights names learned policies."""
         from sim_kinematic.policies.learned import stamped
 
         return tuple(dict.fromkeys(map(stamped, self.unseen_partners)))

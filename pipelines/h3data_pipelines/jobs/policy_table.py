@@ -31,7 +31,7 @@ class PolicyTable:
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Return the measured rows with intervals, followed by published rows, or a sentence if there are no results."""
+        """Return measured rows with intervals and published rows, or a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         shown = self._columns()
@@ -55,7 +55,7 @@ class PolicyTable:
         return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows that combine several policies."""
+        """Return the table as JSON types; NaN becomes None, and ``seeds`` has the rows of several policies."""
         cells = [
             {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
         ]

@@ -1,4 +1,4 @@
-"""Environments with the same observations as demonstrations exported to LeRobot, for which the extra ``env`` is needed."""
+"""Environments with the observations of demonstrations exported to LeRobot, which need the extra ``env``."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         """Apply an action for 1/30 s.
 
         Raises:
-            InputError: the action has the wrong shape or a number that is not finite, or no episode is running; then the state is unchanged.
+            InputError: the action has the wrong shape or is not finite, or no episode is running; the state is unchanged.
         """
         checked = checked_actions(action, self.action_space.shape or ())
         if self._loop is None or self._loop.over or self.play is None or self.play.over:

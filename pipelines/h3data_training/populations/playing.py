@@ -60,7 +60,7 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decisions:
-    """All D decisions of one learner in E episodes, one episode after the other, as arrays or as tensors on a device."""
+    """All D decisions of one learner in E episodes, by episode, as arrays or as tensors on a device."""
 
     each: Any
     """Inputs that belong to one object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""

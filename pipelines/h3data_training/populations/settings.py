@@ -45,7 +45,7 @@ def rules_of(walk: str) -> RearrangeSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class PopulationSettings:
-    """Settings of one training run, in which rates are linear in progress (0 at the start and 1 at the end of the run)."""
+    """Settings of one training run, in which rates are linear in progress (0 at the start, 1 at the end)."""
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"

@@ -123,7 +123,7 @@ class TensorSkillPolicy:
         self._features.copy_(seen)
 
     def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Return choices [W] for `Paths` and ``noise`` [W, C], -1 for agents that do not choose, and parts of a `Row`."""
+        """Return choices [W] for `Paths` and ``noise`` [W, C], -1 for no choice, and parts of a `Row`."""
         play = self._play
         view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)

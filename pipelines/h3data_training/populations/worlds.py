@@ -40,7 +40,7 @@ CHECK_STEPS = 25
 
 
 class TensorPlayers:
-    """Player of training episodes in worlds on a device, with the interface of `populations.playing.Players`."""
+    """Player of training episodes in worlds on a device, with the interface of `playing.Players`."""
 
     workers = 1
 

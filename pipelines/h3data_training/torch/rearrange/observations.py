@@ -202,7 +202,7 @@ class View(NamedTuple):
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
-        """Return a mask of choices that the agent's hand allows [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
+        """Return a mask [W, C] of choices that the agent's hand allows (`sim_kinematic.agents.skills`)."""
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 

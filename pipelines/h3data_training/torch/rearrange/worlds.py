@@ -109,7 +109,7 @@ class RearrangeTensors:
         return self._begun(play, self._moved(play, robot, human), play.ended)
 
     def start_at(self, episode: Tensor, starts: Tensor) -> Play:
-        """Return all worlds at the start of given episodes [W], with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
+        """Return worlds at the start of episodes [W], with both agents at ``(x, z, heading)`` [W, 2, 3]."""
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
