@@ -141,7 +141,7 @@ class LanguageApp(RearrangeApp):
         return []
 
     def phrases(self) -> list[Phrase]:
-        """Return the messages on buttons, about things that a player takes or has brought, and a request to make room."""
+        """Return the messages on buttons, about things that are taken or brought, and a request to make room."""
         things = self.session.play.team.objects.names  # type: ignore[attr-defined]
         found = [
             Phrase(self.spoken(said.text), said.text)

@@ -43,7 +43,7 @@ class ActionRepeatEnv(ActionRepeat):
         hold: int | None = None,
         count: int | None = None,
     ) -> None:
-        """Create ``count`` worlds (default: this process's share of those in the settings)."""
+        """Create ``count`` worlds (default: the number in the settings), a share of those of several processes."""
         super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.bank, self.follow_steps = bank, settings.follow_steps
         self._light: LightMode = settings.light

@@ -64,7 +64,7 @@ class Rows:
         return replace(self, poses=self.poses[new], held=self.held[new], states=states), np.cumsum(new) - 1
 
     def box(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return centre and half extents [T or 1, 3] [m] of the box around a thing or furniture, along the world axes."""
+        """Return centre and half extents [T or 1, 3] [m] of the box around a thing or furniture in world axes."""
         if name not in self._boxes:
             fixed = self.layout.furniture.get(name)
             if fixed is not None:

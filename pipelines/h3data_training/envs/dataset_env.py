@@ -218,7 +218,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         """Apply an action for 1/30 s.
 
         Raises:
-            InputError: the action has the wrong shape or is not finite, or no episode is running; the state is unchanged.
+            InputError: the action has the wrong shape or is not finite, or no episode is running.
         """
         checked = checked_actions(action, self.action_space.shape or ())
         if self._loop is None or self._loop.over or self.play is None or self.play.over:

@@ -41,7 +41,7 @@ class ActionRepeatSkills(ActionRepeat):
         hold: int | None = None,
         count: int | None = None,
     ) -> None:
-        """Create ``count`` worlds (default: this process's share of those in the settings)."""
+        """Create ``count`` worlds (default: the number in the settings), a share of those of several processes."""
         super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.limit, self._by_sight = settings.limit, "way" not in settings.observations
         starts = bank.with_near(settings.near_share)
