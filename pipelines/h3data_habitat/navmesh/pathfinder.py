@@ -86,7 +86,7 @@ class PathFinder:
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def find_path(self, path: ShortestPath | MultiGoalShortestPath) -> bool:
-        """Fill ``points`` and ``geodesic_distance`` of the path; return False (with inf and no points) if there is none."""
+        """Fill ``points`` and ``geodesic_distance`` of the path; return False if there is none."""
         several = isinstance(path, MultiGoalShortestPath)
         ends = _points(path.requested_ends) if several else _point(path.requested_end)[None]
         found = self._paths(path.requested_start, ends)
