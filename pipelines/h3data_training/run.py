@@ -75,7 +75,7 @@ def train(
         resume: True continues from the checkpoint in the folder, if there is one.
         stop_after: Time limit of this call including set-up [min]; None for the whole run.
         checkpoint_s: Time between two checkpoints [s].
-        compile: Whether the worlds are compiled, as in `SocialNavTorchEnv`.
+        compile: True compiles the worlds, as in `SocialNavTorchEnv`.
         name: Name of the recipe, for the card.
         bank: Episodes to train on; None samples them.
         say: Function that is called with lines of text about the progress.
