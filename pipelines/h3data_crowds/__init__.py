@@ -1,1 +1,1 @@
-"""Tasks of a robot among several people: to a goal, situations from cards; baselines that drive it there."""
+"""Tasks of a robot that drives to a goal or meets situations from cards among several people, with baselines."""

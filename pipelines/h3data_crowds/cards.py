@@ -1,4 +1,4 @@
-"""Scenario cards: the records of ``datasets/scenarios/cards.toml``, and layouts sampled from their ranges."""
+"""Scenario cards, the records of ``datasets/scenarios/cards.toml``, and layouts sampled from their ranges."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from h3data.errors import InputError, suggest
 from h3data.geometry import Array
 
 Number = float | tuple[float, float]
-"""A number, or the range that it is sampled from."""
+"""A number, or a range from which it is sampled."""
 Point = tuple[Number, Number]
-"""Place [m] along the axis of a frame and to the right of it."""
+"""Coordinates [m] along the axis of a frame and to the right of it."""
 PlaceKind = Literal["corridor", "hallway", "door", "cabin", "corner", "route", "crossing", "open", "hall"]
 Mode = Literal["reach", "give_way", "join", "follow", "lead", "accompany"]
 ALL = "all"
 
 
 class PersonCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A person of a card."""
+    """Person of a scenario card."""
 
     role: Literal["walk", "stand", "yield", "follow"] = "walk"
     """``walk`` along the path, ``stand``, ``yield`` to the robot before walking, or ``follow`` the robot."""
@@ -36,14 +36,14 @@ class PersonCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class RobotCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Start and goal of a card's robot."""
+    """Start and goal of the robot of a scenario card."""
 
     start: Point
     goal: Point
 
 
 class Card(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Situation of people and robots: their starts and goals in the frame of a kind of place."""
+    """Scenario card: a situation of people and a robot, with their starts and goals in the frame of a kind of place."""
 
     text: str
     place: PlaceKind
@@ -51,33 +51,33 @@ class Card(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     robot: RobotCard
     people: tuple[PersonCard, ...]
     gesture: Literal["", "wait", "proceed"] = ""
-    """Sign that the person gives to the robot."""
+    """Gesture that the person makes to the robot."""
 
 
 class Layout(NamedTuple):
-    """A card with numbers in place of its ranges, in the frame (along, right) of a place."""
+    """Layout of a scenario card in the frame (along, right) of a place, with sampled numbers in place of its ranges."""
 
     robot: Array
-    """Start and goal [2, 2] [m]."""
+    """Start and goal of the robot [2, 2] [m]."""
     starts: Array
     """Starts of the people [P, 2] [m]."""
     paths: list[Array]
-    """Goals of each person, in their order [K, 2] [m]."""
+    """Goals of each person in the order in which they are visited [K, 2] [m]."""
     speeds: list[float]
     delays: list[float]
 
 
 @cache
 def load_cards() -> dict[str, Card]:
-    """Return all cards by name."""
+    """Return all scenario cards by name."""
     return msgspec.convert(tomllib.loads(builtin_path("scenarios/cards.toml").read_text()), dict[str, Card])
 
 
 def choose_cards(names: str) -> list[str]:
-    """Return the names of the cards that a rule names: ``all``, or some with commas between.
+    """Return the names of the cards that a rule selects, which is ``all`` or names separated by commas.
 
     Raises:
-        InputError: There is no such card.
+        InputError: There is no card of a given name.
     """
     there = list(load_cards())
     chosen = there if names.strip() == ALL else [name.strip() for name in names.split(",")]
@@ -88,7 +88,7 @@ def choose_cards(names: str) -> list[str]:
 
 
 def sample_layout(card: Card, rng: np.random.Generator) -> Layout:
-    """Sample a card's ranges; ``right`` changes its sign in half of the cases."""
+    """Sample a layout from a card's ranges; the sign of ``right`` is changed in half of the cases."""
     mirror = float(rng.choice((-1.0, 1.0)))
 
     def number(value: Number) -> float:

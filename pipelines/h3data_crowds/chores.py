@@ -1,9 +1,10 @@
-"""Chores: what people of routines do with the things of a home.
+"""Chores of people with routines, who handle the things of a home.
 
 They open a fridge and take something, carry a tray with two hands, put both down elsewhere, and look at a phone. A
-`ChoreRoutine` finds places from which their hands reach, and plans there in every step where the hands are led, how far a door
-is open, and what is held. Every posture follows from what hands touch (`h3data.bodies.people.gestures`): trunk and legs are
-those of reaching, and both arms are bent so that the palms are at handle, thing or tray.
+`ChoreRoutine` finds places from which their hands reach. For each step at such a place it plans the targets of the
+hands, the opening of a door, and the things that are held. Each posture follows from the targets of the hands
+(`h3data.bodies.people.gestures`): trunk and legs take a reaching posture, and both arms are bent so that the palms are
+at the handle, thing or tray.
 """
 
 from __future__ import annotations
@@ -42,44 +43,57 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
 CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0, "knock": 3.0}
-"""Chores, and the least time that each of them needs [s]. ``lift`` takes up a tray, ``put`` puts down what the hands hold."""
+"""Chores by name, with the shortest time that each of them needs [s].
+
+``lift`` takes up a tray, and ``put`` puts down the things in the hands.
+"""
 UNPLANNED = ("phone", "knock")
 """Chores that are done wherever people can stand beside the thing."""
 KNOCKS, TOUCHES_M = 3, 0.003
-"""Number of knocks, and distance of the knuckles from what they knock at [m]."""
+"""Number of knocks, and distance of the knuckles from the surface that is knocked at [m]."""
 FINGERS = ("wrist", "index", "middle", "pinky", "ring", "thumb")
-"""Parts of a hand, by the names of their joints."""
+"""Names of the joints of a hand, by part."""
 TRAY_M, ITEM_M = np.array([0.13, 0.012, 0.19]), np.array([0.033, 0.1, 0.033])
-"""Half sizes of a tray, ahead, up and aside, and of what is taken out of a fridge."""
+"""Half sizes (forward, up, sideways) of a tray and of a thing that is taken out of a fridge [m]."""
 HAND = [k for name, k in JOINT_INDEX.items() if name.startswith("right_") and name.rstrip("123")[6:] in FINGERS]
 """Joints of the right hand."""
 PHONE_M = np.array([0.005, 0.074, 0.036])
-"""Half sizes of a phone."""
+"""Half sizes of a phone [m]."""
 GRIP_BACK_M = 0.1
-"""Distance of the hands behind the middle of a tray."""
+"""Distance of the hands behind the centre of a tray [m]."""
 OVERHANGS_M = (0.03, 0.06, 0.09, 0.11)
-"""Distances of which the nearer side of a tray is over the edge of what it stands on by the first from which hands reach it."""
+"""Overhangs of the nearer side of a tray over the edge of its support [m]; the first that the hands can reach is
+used.
+"""
 CARRIED = np.array([0.27, 0.80, 0.15])
-"""Place of a hand that carries something, ahead, up and outwards, in heights of the shoulders."""
+"""Position (forward, up, outward) of a hand that carries something, in shoulder heights."""
 TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
-"""Place of the middle of a carried tray in heights of the shoulders: ahead, the first at which the hands are this part of an
-arm's length from the shoulders, as folded arms cannot lead them."""
+"""Position of the centre of a carried tray in shoulder heights, and the extension of the arms that selects it.
+
+Of the forward distances, the first is used at which the hands are this share of an arm's length from the shoulders,
+because folded arms cannot carry a tray.
+"""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
-"""Least and greatest angle of a door that a hand opens and holds while the other one reaches in."""
+"""Smallest and largest angle of a door that one hand opens and holds while the other hand reaches in [rad]."""
 BESIDE_M = (0.016, 0.03, 0.06)
-"""Depths by which collision shapes may be in the door that somebody leads [m], the next where one allows no place:
-those of children are wider than their skin."""
+"""Depths to which collision shapes may penetrate the door that a person moves [m].
+
+The next depth is tried if one allows no place, because the collision shapes of children are wider than their skin.
+"""
 SLIDE_M, ANKLES = 0.02, [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
-"""Greatest displacement of an ankle while somebody leans from one posture of reaching to another [m]; the ankles."""
+"""Largest displacement of an ankle while a person leans from one reaching posture to another [m], and the ankle
+joints.
+"""
 ROOM_M, LEAF = 0.3, 0.16
-"""Least distance of a person from obstacles [m], and of the middle of the body from an open door, in body heights."""
+"""Smallest distance of a person from obstacles [m], and of the body's centre from an open door [body heights]."""
 NEIGHBOUR_M, APART_M = 0.12, 0.45
-"""Distance of places beside each other, in which a rotation by 1 rad counts as 0.1 m, and of the spots of two people's
-things [m]."""
+"""Distance of neighbouring places, where a rotation by 1 rad counts as 0.1 m, and of the spots of two people's
+things [m].
+"""
 FARTHER_M = (0.0, 0.08, 0.16, 0.24, 0.3, 0.36, 0.42)
-"""Distances of which people who reach with both hands lean farther by the first that suffices [m]."""
+"""Additional distances by which people lean to reach with both hands [m]; the first that suffices is used."""
 ASIDE_M = 0.2
-"""Greatest distance aside of the middle of what people lift or put down [m]."""
+"""Largest sideways distance of the centre of a thing that people lift or put down [m]."""
 SETTLES_S = 4.0
 """Time that people have to step to the place and to come to rest there [s]."""
 LOOKS: dict[str, tuple[AssetRef, Array]] = {
@@ -87,59 +101,59 @@ LOOKS: dict[str, tuple[AssetRef, Array]] = {
     "carton": (AssetRef(name="carton", uri="primitive:cubeSolid", color=(214, 226, 236)), ITEM_M),
     "phone": (AssetRef(name="phone", uri="primitive:cubeSolid", color=(34, 36, 42)), PHONE_M),
 }
-"""Appearance and half sizes of the things."""
+"""Appearance and half sizes [m] of the things that people handle."""
 BREAKFAST: tuple[tuple[tuple[str, tuple[str, ...], float], ...], ...] = (
     (("take", ("fridge",), 12.5), ("put", ("kitchen_counter", "dining_table"), 9.0)),
     (("lift", ("kitchen_counter",), 8.5), ("put", ("dining_table", "coffee_table", "kitchen_counter"), 9.0)),
     (("eat", ("dining_table",), 40.0),),
     (("phone", ("window", "bookshelf", "plant"), 10.0),),
 )
-"""Parts of a breakfast, of which each person leaves some out: activities, categories of things, and seconds."""
+"""Parts of a breakfast (activity, categories of things, duration [s]), some of which each person leaves out."""
 
 
 class Chore(NamedTuple):
-    """A chore of one body at one place, and what the hands do there."""
+    """Chore of one body at one place, with the targets of the hands."""
 
     name: str
     place: str
-    """Name of the thing at which it is done."""
+    """Name of the thing at which the chore is done."""
     root: Array
-    """Root of the person (pose7)."""
+    """World pose of the person's root (pose7)."""
     spot: Array
-    """Place of the thing that is taken, or to which it is put [3]."""
+    """World position of the thing that is taken or put down [3] [m]."""
     joint: int = -1
-    """Number of the door's joint; -1: nothing opens."""
+    """Number of the door's joint; -1 if nothing opens."""
     angles: Array = np.zeros(1)
-    """Angles of the door while the hand leads it [N]."""
+    """Angles of the door while the hand moves it [N] [rad]."""
     handles: Array = np.zeros((1, 3))
-    """Places of the handle at these angles [N, 3]."""
+    """World positions of the handle at each angle [N, 3] [m]."""
     farther_m: float = 0.0
-    """Distance by which people who reach with both hands lean farther than for one of them [m]."""
+    """Additional distance by which people lean to reach with both hands instead of one [m]."""
     wide: bool = False
-    """True if it is a tray that is lifted or put down."""
+    """True if a tray is lifted or put down."""
 
 
 class Movement(NamedTuple):
     """Movement of the hands during a chore, with one row for each step."""
 
     lead: Array
-    """Places to which the hands are led (`h3data.bodies.people.gestures.lead_hands`), [T, 4, 4]."""
+    """Target frames of the hands (`h3data.bodies.people.gestures.lead_hands`) [T, 4, 4]."""
     places: Array
-    """Places of what is taken or put down in the agent root frame [T, 3]."""
+    """Positions in the agent root frame of the thing that is taken or put down [T, 3] [m]."""
     moment: int
-    """Step in which it is taken, or put down."""
+    """Step at which the thing is taken or put down."""
     hand: int = 2
-    """Hand that takes it: left 0, right 1, both 2."""
+    """Hand that takes the thing: 0 for left, 1 for right, 2 for both."""
     joint: int = -1
     positions: Array = np.zeros(0)
-    """Positions of the joint [T]."""
+    """Positions of the door's joint [T] [rad]."""
 
 
 class ChoreRoutine(Routine):
-    """Routine with chores (`CHORES`) beside the other activities.
+    """Routine with chores (`CHORES`) in addition to the other activities.
 
-    All chores are planned at the beginning, so that trays and what is in a fridge have their places from the first step on.
-    What has been taken is gone: in the next round of the routine, that stop is left out.
+    All chores are planned at the start, so that trays and things in a fridge have their places from the first step on.
+    A thing that has been taken is not there any more, so that the next round of the routine leaves out that stop.
     """
 
     def __init__(
@@ -156,11 +170,11 @@ class ChoreRoutine(Routine):
 
         Args:
             scene: The home.
-            free: Its floor.
-            stops: Places, activities and seconds.
+            free: Free floor of the home.
+            stops: Places, activities and durations [s].
             body: The person's body.
-            start: A place [2] from which the person comes.
-            number: Number of the agent; people with different ones put their things at different spots.
+            start: Position (x, z) [2] [m] from which the person comes.
+            number: Number of the agent; people with different numbers put their things at different spots.
         """
         super().__init__(scene, free, stops, body)
         self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
@@ -196,9 +210,10 @@ class ChoreRoutine(Routine):
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
     ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
-        """Return the errand at a stop as `Routine.errand_at`; a chore that cannot be planned there is refused with the reason.
+        """Return the errand at a stop, as `Routine.errand_at` does; an impossible chore is refused with a reason.
 
-        Chores that cannot be done now, as the hands are full, hold nothing, or what was there is gone, are skipped.
+        Chores that are impossible now are skipped, e.g. because the hands are full or empty, or the thing has been
+        taken.
         """
         stop, plan = self.stops[k], self._plans.get(k)
         free_hands = self._holds is None
@@ -365,16 +380,16 @@ def chore_at(
     number: int = 0,
     tray: bool = False,
 ) -> Chore:
-    """Return a chore at the best place for a body beside the thing of a stop.
+    """Return a chore at the best place for a body next to the thing of a stop.
 
     Args:
         scene: The home.
-        free: Its floor.
+        free: Free floor of the home.
         body: The person's body.
         stop: Thing and chore.
-        near: A place [2] from which the person comes.
+        near: Position (x, z) [2] [m] from which the person comes.
         number: Number of the agent, which decides between places whose spots are `APART_M` from each other.
-        tray: True if what the person puts down is a tray.
+        tray: True if the person puts down a tray.
 
     Raises:
         InputError: Nothing there opens, or no place has room and is near enough for the hands.
@@ -408,10 +423,12 @@ def chore_at(
 
 
 def breakfast(episode: Any, number: int) -> ChoreRoutine:
-    """Return a breakfast of an agent, sampled by the seed: they take something, lay the table, eat, and look at a phone.
+    """Return the breakfast routine of an agent, sampled by the seed.
+
+    They take things, lay the table, eat, and look at a phone.
 
     Raises:
-        SceneError: The home has nothing for any of it.
+        SceneError: The home has no things for any of it.
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
     body, start = member.body, episode.starts[number, :2]
@@ -531,19 +548,21 @@ def _around(scene: Scene, thing: Instance) -> Array:
 
 
 class Leaf(NamedTuple):
-    """A door of a thing that encloses something, at N angles from closed to `WIDE_RAD`."""
+    """Door of a thing that encloses something, at N angles from closed to `WIDE_RAD`."""
 
     joint: int = -1
-    """Number of its joint; -1: there is none."""
+    """Number of the door's joint; -1 if there is none."""
     handles: Array = np.zeros((0, 3))
-    """Places of the handle [N, 3]."""
+    """World positions of the handle at each angle [N, 3] [m]."""
     back: Array = np.zeros((0, 4, 4))
-    """Matrices from the world to the frame of the panel [N, 4, 4]."""
+    """Transforms from the world to the frame of the panel at each angle [N, 4, 4]."""
     half: Array = np.zeros(3)
-    """Half sizes of the panel [3]."""
+    """Half sizes of the panel [3] [m]."""
 
     def depth(self, points: Array, root: Array, k: NDArray[np.intp]) -> Array:
-        """Return the depth [T, C] of the deepest of points [T, C, P, 3] in an agent root's frame at angles ``k`` [T].
+        """Return the depth in the panel [T, C] [m] of points [T, C, P, 3] in the agent root frame, at angles ``k`` [T].
+
+        Of P points, the deepest counts.
 
         It is negative outside the panel.
         """

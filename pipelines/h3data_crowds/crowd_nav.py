@@ -1,4 +1,4 @@
-"""PointGoal among people: a robot drives to a place in a home in which several people walk about."""
+"""Crowd navigation (PointGoal among people), in which a robot drives to a place in a home with walking people."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task
 
 CANDIDATES = 400
-"""Number of goals that are sampled for an episode, of which the first that fits is taken."""
+"""Number of goals that are sampled for an episode; the first one that satisfies the rules is used."""
 FAR_M = 100.0
-"""Distances beyond this are shown as this."""
+"""Largest distance in observations [m]; larger distances are clipped to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,13 +35,15 @@ class CrowdNavSpec(TaskSpec):
     max_steps: int = 1800
     spawn_distance_m: float = 1.5
     goal_path_m: float = 5.0
-    """Least length of the robot's shortest path to the goal."""
+    """Least length of the robot's shortest path to the goal [m]."""
     goal_room_m: float = 0.4
-    """Free space around the goal."""
+    """Radius of the free space around the goal [m]."""
     arrive_m: float = 0.5
-    """Distance to the goal at which the robot has arrived."""
+    """Distance to the goal at which the robot counts as arrived [m]."""
     personal_m: float = 1.0
-    """Centre distance to a person below which the robot is in their personal space (PSC)."""
+    """Distance between the centres of robot and person below which the robot is in the person's personal space (PSC)
+    [m].
+    """
     end_on_collision: bool = True
     """True if contact with a person ends the episode, as a failure."""
     progress_reward: float = 1.0
@@ -51,11 +53,11 @@ class CrowdNavSpec(TaskSpec):
     collision_reward: float = -5.0
     """Reward for touching a person."""
     personal_reward: float = -0.02
-    """Reward for a step in somebody's personal space."""
+    """Reward for each step in a person's personal space."""
 
 
 class CrowdNav(Task):
-    """Task to reach the goal without touching anybody and with little time close to people."""
+    """Task to reach a goal without touching anyone and while spending little time close to people."""
 
     Spec = CrowdNavSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human", "human")
@@ -71,7 +73,7 @@ class CrowdNav(Task):
         """Sample starts, and a goal with room around it that is at least ``goal_path_m`` away.
 
         Raises:
-            SceneError: the home has no such place.
+            SceneError: the home has no place for such a goal.
         """
         free = common_floor(roster, free)
         starts = sample_starts(scene, free, seed, spec, roster)
@@ -90,12 +92,12 @@ class CrowdNav(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Remember the goals and the paths that are left."""
+        """Store the goals and the remaining path lengths."""
         goal = self.goals(play)
         return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Reward progress and arriving; touching a person costs and, by the rules, ends the episode."""
+        """Reward progress and arrival, and penalise contact with a person, which may end the episode."""
         xp, memory, spec, world = play.xp, play.memory, play.spec, play.world
         memory["goal"] = self.moved_goals(play)
         left, before = self._left(play, memory["goal"]), memory["left"]
@@ -122,21 +124,21 @@ class CrowdNav(Task):
         )
 
     def goals(self, play: WorldRollout) -> Any:
-        """Return the goal of the robot of each world [W, 2] [m]."""
+        """Return the goal of the robot of each world (x, z) [W, 2] [m]."""
         return play.extra("goal")
 
     def moved_goals(self, play: WorldRollout) -> Any:
-        """Return the goals after a step [W, 2] [m]; by default they stay."""
+        """Return the goals (x, z) after a step [W, 2] [m]; by default they do not move."""
         return play.memory["goal"]
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
-        """Return whether robots have done what they should, and whether the episode is over for it, [W] each."""
+        """Return whether robots have completed their task, and whether their episode has ended, bool [W] each."""
         gap = play.memory["goal"] - play.world.state.agents[0].xz
         arrived = (play.xp.hypot(gap[:, 0], gap[:, 1]) < play.spec.arrive_m) & ~touching
         return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of every task, and for robots distance [m] and angle [rad] of the goal, positive to the right."""
+        """Return the sensors of every task, and for robots distance [m] and angle [rad] (right: > 0) of the goal."""
         goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 

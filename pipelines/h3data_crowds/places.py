@@ -1,4 +1,4 @@
-"""Places for scenarios: frames found on the free floor of a home by geometry, and small plans built where there is none."""
+"""Places for scenarios, which are frames on the free floor of a home, or small floor plans if none fits."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from h3data.scene import Asset, Box, FreeSpace, Instance, Room, Scene
 from h3data_crowds.cards import Layout, PlaceKind
 
 POINTS, DIRECTIONS = 4000, 8
-"""Places and directions of the floor that are tried as frames."""
+"""Numbers of positions and of directions on the floor that are tried as frames."""
 ROOM_M, START_M = 0.36, 0.5
-"""Free space around the lines on which people and the robot go, and around the robot's start and goal."""
+"""Free space around the lines on which people and the robot move, and around the robot's start and goal [m]."""
 WALL_M, WALL_HEIGHT_M = 0.15, 2.5
 
 
@@ -25,23 +25,23 @@ class Frame(NamedTuple):
     """Frame (along, right) on the floor in which a layout is placed."""
 
     origin: Array
-    """Origin of the frame (x, z) [2] [m]."""
+    """Origin of the frame in the world (x, z) [2] [m]."""
     heading: float
     """Direction of the axis [rad]."""
 
     def to_world(self, points: Array) -> Array:
-        """Return points (along, right) [..., 2] as (x, z) [..., 2] [m]."""
+        """Return points (along, right) [..., 2] [m] as world points (x, z) [..., 2] [m]."""
         return np.asarray(self.origin + points @ axes_of(np.array(self.heading)))
 
 
 def axes_of(heading: Array) -> Array:
-    """Return the directions along an axis and to the right of it [..., 2, 2]."""
+    """Return the unit vectors (x, z) along an axis and to the right of it [..., 2, 2]."""
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 
 
 def lines_of(layout: Layout, kind: PlaceKind) -> Array:
-    """Return points (along, right) [N, 2], 0.25 m apart, of the straight lines on which the agents of a layout move."""
+    """Return points (along, right) [N, 2], 0.25 m apart, on the straight lines of the agents of a layout."""
     tracks = [layout.robot, *(np.vstack([s, p]) for s, p in zip(layout.starts, layout.paths, strict=True))]
     if kind in ("corner", "route", "door", "cabin"):  # all who change sides go through the origin
         tracks = [np.vstack([t[:1], np.zeros((1, 2)), t[1:]]) if len(t) > 1 else t for t in tracks]
@@ -55,10 +55,11 @@ def lines_of(layout: Layout, kind: PlaceKind) -> Array:
 
 
 def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.Generator) -> Frame | None:
-    """Return a frame on a floor in which a layout fits; None if none of those tried does.
+    """Return a frame on a floor in which a layout fits; None if no frame that was tried fits.
 
-    Everybody's straight lines must be free. In addition a corridor has walls 0.7 to 1.3 m from its axis, a hallway
-    within 0.75 m; a door is narrower than the floor before and behind it; the two sides of a corner do not see each other.
+    The straight lines of all agents must be free. In addition, a corridor has walls 0.7 to 1.3 m from its axis, and a
+    hallway has walls within 0.75 m. A door is narrower than the floor in front of and behind it. The two sides of a
+    corner are not visible from each other.
     """
     if kind == "cabin":
         return None
@@ -116,7 +117,7 @@ _PLANS: dict[PlaceKind, tuple[tuple[float, float, float, float], ...]] = {
 
 @lru_cache(maxsize=16)
 def build_plan(kind: PlaceKind) -> Scene:
-    """Return a scene that is one place: floors with walls around them."""
+    """Return a scene that consists of one place, with floors and walls around them."""
     floors = np.array(_PLANS[kind])
     blocks = [("floor", (x0, -0.1, z0), (x1, 0.0, z1)) for x0, z0, x1, z1 in floors]
     xs, zs = (

@@ -1,6 +1,7 @@
-"""Baselines that drive a robot to a goal among people: those that the field compares with, over one map and one forecast.
+"""Baselines common in the literature that drive a robot to a goal among people, all with the same map and forecast.
 
-All of them know the map, and where people are and were a step ago; a person is expected to keep their velocity.
+All of them know the map and the current and previous positions of people, and assume that each person keeps their
+velocity.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from sim_kinematic.policies.views import AgentView
 
 SKILLS = ("drive", "wait")
 CRUISE_MPS = 1.3
-"""Speed of all baselines: that of the people around them."""
+"""Speed of all baselines, equal to that of the people around them [m/s]."""
 LOOK_M = 0.3
-"""Distance of the point on the path that a robot drives towards."""
+"""Distance along the path of the point towards which a robot drives [m]."""
 TURN_FIRST_RAD = 0.5
-"""Heading error above which a robot turns where it stands [rad]."""
+"""Heading error above which a robot turns in place [rad]."""
 WINDOW_S, HORIZON_S, PIECE_S = 0.8, 1.6, 0.2
-"""Time that `dwa` and `mpc` look ahead, and that of a piece of constant command."""
+"""Time that `dwa` and `mpc` look ahead, and duration of a segment with a constant command [s]."""
 PERSON_M = 0.34
-"""Radius of people, for all baselines."""
+"""Radius of people in all baselines [m]."""
 COMFORT_M = 0.3
-"""Gap to people below which a plan costs more."""
+"""Gap to people below which a plan costs more [m]."""
 SPEEDS, TURNS = np.linspace(-0.3, 1.0, 7), np.linspace(-1.0, 1.0, 9)
 UNREACHABLE_M = 100.0
-"""Length of the path that is left after a plan that ends where there is none."""
+"""Remaining path length assumed for a plan that ends where no path to the goal exists [m]."""
 TURN_M = 0.2
-"""Length of path that a radian between heading and path is worth."""
+"""Path length that costs as much as a radian between heading and path [m]."""
 SAMPLES = 160
 """Number of plans that `mpc` samples at each step."""
 
@@ -68,7 +69,7 @@ def _wanted(view: AgentView) -> Array:
 
 
 def shortest_path(view: AgentView, base: BaseSpec) -> Velocity:
-    """Drive along the shortest path, whoever is in the way."""
+    """Drive along the shortest path, regardless of people in the way."""
     return _drive(view, base, _wanted(view))
 
 
@@ -105,33 +106,33 @@ def _among_people(view: AgentView, base: BaseSpec, *, forces: bool) -> Velocity:
 
 
 def orca(view: AgentView, base: BaseSpec) -> Velocity:
-    """Avoid people reciprocally (`sim_kinematic.crowd.orca`): the robot makes the whole change itself."""
+    """Avoid people by reciprocal velocity obstacles (`sim_kinematic.crowd.orca`), with only the robot giving way."""
     return _among_people(view, base, forces=False)
 
 
 def social_force(view: AgentView, base: BaseSpec) -> Velocity:
-    """Follow social forces (`sim_kinematic.crowd.social_force`) with the same guard as people have."""
+    """Follow social forces (`sim_kinematic.crowd.social_force`), with the same guard against contact as for people."""
     return _among_people(view, base, forces=True)
 
 
 @kernel(error_model="numpy")
 def roll_plans(sdf, origin, cell, pose, plans, limits, discs, radius, people, velocities, reach, comfort, piece):
-    """Return the costs [N] of plans by their nearness to people and walls, and where they end (x, z, heading) [N, 3].
+    """Return the costs [N] of plans for nearness to people and walls, and their final poses (x, z, heading) [N, 3].
 
     Args:
-        sdf: Signed distances of the floor's grid [m].
-        origin: Position of the grid.
+        sdf: Signed distance to obstacles at each cell of the floor's grid [m].
+        origin: World position (x, z) of the grid [m].
         cell: Size of its cells [m].
-        pose: Position and heading of the robot (x, z, heading).
-        plans: Speed and turn rate in -1..1 of the limits for each piece, [N, K, 2].
+        pose: Position and heading of the robot (x, z, heading) [m, m, rad].
+        plans: Speed and turn rate of each segment as fractions of the limits, in -1..1, [N, K, 2].
         limits: Greatest speed [m/s] and turn rate [rad/s].
         discs: Offsets of the robot's discs along its axis [D] [m].
         radius: Radius of the discs [m].
         people: Positions of people [P, 2] [m].
-        velocities: Their velocities, which they keep [P, 2] [m/s].
+        velocities: Velocities of people, assumed constant [P, 2] [m/s].
         reach: Distance between a disc's centre and a person's at which they touch [m].
         comfort: Gap below which nearness costs [m].
-        piece: Duration of a piece [s].
+        piece: Duration of a segment [s].
     """
     costs, ends = np.zeros(len(plans)), np.empty((len(plans), 3))
     for n in range(len(plans)):
@@ -194,12 +195,12 @@ _WINDOW = np.repeat(np.array([(speed, turn) for speed in SPEEDS for turn in TURN
 
 
 def dwa(view: AgentView, base: BaseSpec) -> Velocity:
-    """Choose by the dynamic window (Fox et al. 1997): the best of 63 constant commands over the next 0.8 s."""
+    """Choose the best of 63 constant commands over the next 0.8 s by the dynamic window approach (Fox et al. 1997)."""
     return _best_plan(view, base, _WINDOW[:, : round(WINDOW_S / PIECE_S)])
 
 
 def mpc(view: AgentView, base: BaseSpec) -> Velocity:
-    """Choose by sampling model-predictive control: the best of sampled plans that change their command once."""
+    """Choose a command by model-predictive control: the best of sampled plans that change their command once."""
     rng = generator(view.seed, "crowd_mpc", world=view.agent, step=view.step)
     ends = np.stack([rng.uniform(SPEEDS[0], 1.0, (SAMPLES, 2)), rng.uniform(-1.0, 1.0, (SAMPLES, 2))], -1)
     late = np.arange(_PIECES)[None] >= rng.integers(1, _PIECES, (SAMPLES, 1))
@@ -208,13 +209,13 @@ def mpc(view: AgentView, base: BaseSpec) -> Velocity:
 
 
 class Yielding:
-    """Right of way, waiting and detours, by the code with which robots of `wander` heed people."""
+    """Policy that yields, waits and makes detours by the same rules as robots with the policy `wander`."""
 
     def __init__(self) -> None:
         self._going = None
 
     def act(self, view: AgentView) -> Velocity:
-        """Return the next step to the goal; none where somebody has to pass first."""
+        """Return the next step towards the goal, or no motion while a person has to pass first."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
         if self._going is None:

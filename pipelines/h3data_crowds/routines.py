@@ -1,7 +1,7 @@
 """Routines of people: a sequence of stops ``(place, activity, seconds)`` in a home.
 
-A place is the name of a thing in the home, which the person faces meanwhile. An activity (`ACTIVITIES`) is also the name of a
-posture; a body that has no posture of this name stands.
+A place is the name of a thing in the home, which the person faces during the activity. An activity (`ACTIVITIES`) is
+also the name of a posture; a body without a posture of this name stands.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from sim_kinematic.motion.randomness import generator
 
 
 class Stop(NamedTuple):
-    """Entry of a routine."""
+    """Stop of a routine."""
 
     place: str
-    """Name of a thing in the home."""
+    """Name of the thing in the home at which the activity takes place."""
     activity: str
     seconds: float
 
@@ -40,7 +40,7 @@ class Activity(NamedTuple):
     """Categories of the things at which the activity takes place."""
     least_s: float
     most_s: float
-    """Longest duration [s]; the shortest is ``least_s``, and one between is sampled."""
+    """Longest duration [s]; the shortest is ``least_s``, and a duration between the two is sampled."""
     posture: str = "stand"
     """Posture of a person during the activity."""
 
@@ -65,19 +65,20 @@ DAYS = {
     "morning": ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work"),
     "evening": ("fetch", "cook", "eat", "look_out", "read", "wash", "rest"),
 }
-"""Order of activities in each of `sim_kinematic.crowd.roles.routines`, of which each person leaves out some."""
+"""Order of activities in each of `sim_kinematic.crowd.roles.routines`, some of which each person leaves out."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
 PERSON_M = 1.0
-"""Distance from others within which nobody stays."""
+"""Distance from other people within which nobody stops [m]."""
 BETWEEN = np.linspace(0.2, 0.9, 6)
-"""Shares of the line to a thing at which there has to be free floor."""
+"""Fractions of the line to a thing at which the floor must be free."""
 BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
-"""Largest distance of a person from a thing, least room there [m], and number of directions that are tried."""
+"""Largest distance of a person from a thing, smallest free radius there [m], and number of directions that are tried.
+"""
 
 
 def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
-    """Return the posture for an activity of a body with ``postures``: one of its name, its general posture, or ``stand``."""
+    """Return the posture for an activity: one with the activity's name, its general posture, or ``stand``."""
     own = ACTIVITIES[activity].posture if activity in ACTIVITIES else activity
     return next((name for name in (activity, own) if name in postures), "stand")
 
@@ -85,13 +86,13 @@ def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
 def place_beside(
     scene: Scene, free: FreeSpace, name: str, near: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the nearest place [2] beside a thing that can be walked to, and the point [2] of it to face; None: no place.
+    """Return the nearest reachable place (x, z) [2] [m] next to a thing and the point [2] of it to face, or None.
 
     Args:
         scene: The home.
-        free: Its floor.
+        free: Free floor of the home.
         name: Name of the thing.
-        near: A place [2] from which the person comes.
+        near: Position (x, z) [2] [m] from which the person comes.
     """
     thing = next(instance for instance in scene.instances if instance.name == name)
     low, high = instance_bounds(scene, thing)[:, [0, 2]]
@@ -112,10 +113,10 @@ def place_beside(
 
 
 def make_routine(scene: Scene, seed: int, number: int, name: str = "morning") -> tuple[Stop, ...]:
-    """Return the routine of a name (`DAYS`) for agent ``number`` in the episode with a seed, from the things of the home.
+    """Return the routine with a name from `DAYS` for an agent and a seed, made from the things of the home.
 
     Raises:
-        SceneError: The home has nothing for any activity.
+        SceneError: The home has no things for any activity.
     """
     rng = generator(seed, name, world=number)
     things: dict[str, list[str]] = {}
@@ -135,13 +136,13 @@ def make_routine(scene: Scene, seed: int, number: int, name: str = "morning") ->
 
 
 class Routine:
-    """Routine of one person, which gives one errand after another and begins again after the last."""
+    """Routine of one person, which gives one errand after another and starts again after the last."""
 
     def __init__(self, scene: Scene, free: FreeSpace, stops: Sequence[Stop], body: Humanoid | None = None) -> None:
-        """Check the stops. Without a ``body`` the person stands everywhere.
+        """Create a routine and check its stops; without a ``body`` the person always stands.
 
         Raises:
-            InputError: There is no stop, or one names no thing of the home or lasts no finite time.
+            InputError: There are no stops, or a stop names nothing in the home or has no finite duration.
         """
         names = {instance.name for instance in scene.instances}
         wrong = [stop for stop in stops if stop.place not in names or not 0 < stop.seconds < math.inf]
@@ -160,10 +161,11 @@ class Routine:
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
     ) -> tuple[NDArray[np.float64], Errand] | None:
-        """Return the place [2] of the next stop that a person at a place [2] can walk to, and its errand without a path.
+        """Return the position (x, z) [2] [m] of the next stop that a person can walk to, and its errand without a path.
 
-        The person sits if the activity is one of sitting and the place has a seat for them. A stop whose place others have
-        ``taken`` ``(x, z, ...)`` is skipped until its next turn. None: no stop can be reached.
+        The person sits if the activity is done sitting and the place has a seat for them. A stop at one of the
+        positions ``taken`` by others (x, z, ...) is skipped until its next turn. None means that no stop can be
+        reached.
         """
         refused = "", ""
         for _ in self.stops:
@@ -178,7 +180,7 @@ class Routine:
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
     ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
-        """Return what `next_stop` returns if stop ``k`` is the next one, and what is refused there (`Errand.refused`)."""
+        """Return the place and errand of stop ``k`` as `next_stop` does, or a refused errand (`Errand.refused`)."""
         stop, refused = self.stops[k], ("", "")
         posture = posture_of(stop.activity, ("stand", "sit", "lie"))
         if self._seats is not None and posture != "stand":
@@ -212,4 +214,4 @@ def _daily(name: str, episode: Any, number: int) -> Routine:
 
 
 morning, evening = partial(_daily, "morning"), partial(_daily, "evening")
-"""Routines of agents, sampled from the seed (`sim_kinematic.crowd.roles.routines`)."""
+"""Functions that return routines of agents, sampled from the seed (`sim_kinematic.crowd.roles.routines`)."""

@@ -1,4 +1,4 @@
-"""The task ``scenarios``: a card's situation, in a home where it fits, otherwise in a small plan."""
+"""Task ``scenarios``, which places a card's situation in a home where it fits, and otherwise in a small floor plan."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import TaskUsage
 
 LAYOUTS = 6
-"""Number of layouts of a card that are sampled for a home before a plan is built."""
+"""Number of layouts of a card that are sampled for a home before a floor plan is built instead."""
 STOP_M = 1.4
-"""Distance from the person within which a robot that follows observes its own place as the goal [m]."""
+"""Distance from the person within which a robot that follows observes its own position as the goal [m]."""
 LEAD_M = 3.5
-"""Distance from the person beyond which a robot that leads observes its own place as the goal [m]."""
+"""Distance from the person beyond which a robot that leads observes its own position as the goal [m]."""
 ASIDE_M, AHEAD_M = 1.0, 0.5
-"""Place beside and ahead of a person that a robot which accompanies them is shown as the goal."""
+"""Goal of a robot that accompanies a person: its distances to the side and ahead of the person [m]."""
 GESTURES = ("", "wait", "proceed")
 
 
@@ -44,22 +44,26 @@ class ScenarioSpec(CrowdNavSpec):
 
     max_steps: int = 1200
     card: str = ""
-    """Names of cards with commas between, or ``all``; the seed of an episode selects one. Empty: those of the task."""
+    """Names of cards separated by commas, or ``all``; an episode's seed selects one. Empty selects the task's own
+    cards.
+    """
     where: str = "auto"
-    """``home``: only where a card fits the home; ``plan``: in plans; ``auto``: in the home, or in a plan if it does not fit."""
+    """Places of episodes: ``home`` (where the card fits), ``plan`` (floor plans), ``auto`` (a plan if the home does not
+    fit).
+    """
     follow_min_m: float = 1.0
     follow_max_m: float = 2.0
-    """Distance to a person at which the robot follows them (Puig et al. 2023)."""
+    """Largest distance to a person at which the robot counts as following them (Puig et al. 2023) [m]."""
     share: float = 0.5
-    """Least share of the time until the person's arrival in which a robot follows or accompanies them."""
+    """Smallest share of the time until the person's arrival in which a robot follows or accompanies them."""
     beside_m: float = 1.6
     """Largest distance to the side of a person whom the robot accompanies [m]."""
     along_m: float = 0.9
     """Largest distance along the direction of walking of a person whom the robot accompanies [m]."""
     passage_m: float = 0.6
-    """Radius around the origin that a robot which gives way does not enter before the person has passed."""
+    """Radius around the frame's origin that a robot which gives way must not enter before the person has passed [m]."""
     group_m: float = 0.7
-    """Radius of the space within a group that belongs to it (o-space, Kendon 1990): nobody crosses it."""
+    """Radius of the space inside a group that nobody may cross (o-space, Kendon 1990) [m]."""
 
     def __post_init__(self) -> None:
         if self.card:
@@ -69,14 +73,14 @@ class ScenarioSpec(CrowdNavSpec):
 
 
 class ScenarioCodec(TaskCodec):
-    """Builds the plans of episodes from files again."""
+    """Codec of scenario episodes that rebuilds their floor plans from files."""
 
     def instruction(self, episode: Episode) -> str:
-        """Return the text of the card."""
+        """Return the text of the episode's card."""
         return load_cards()[episode.extra["card"]].text
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
-        """Return the episode of a record, in its plan where it has one."""
+        """Return the episode of a record, in its floor plan if it has one."""
         if record.extra.get("where") == "plan":
             kind, spec = load_cards()[choose_cards(record.extra["card"])[0]].place, place.spec
             place = replace(
@@ -96,19 +100,19 @@ class Scenarios(CrowdNav):
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "card"}
     cards: ClassVar[str] = ALL
-    """Cards where the rules name none."""
+    """Names of the task's cards, used if the rules name none."""
     usage: ClassVar[TaskUsage] = TaskUsage(env_rules=ScenarioSpec(card="crowd_navigation"))
 
     @property
     def codec(self) -> ScenarioCodec:
-        """Codec that knows plans."""
+        """Codec that restores floor plans."""
         return ScenarioCodec(self)
 
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-        """Sample a card's numbers and find a place for them; agents beyond those of the card are left out.
+        """Sample a layout of a card and find a place for it; agents in excess of the card's are left out.
 
         Raises:
-            InputError: No such card, or the roster lacks agents for it.
+            InputError: There is no such card, or the roster has too few agents for it.
             SceneError: The card does not fit the home (``where="home"``).
         """
         names = choose_cards(spec.card or self.cards)
@@ -168,13 +172,13 @@ class Scenarios(CrowdNav):
 
     # --- rules ----------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Remember in addition how long the robot has kept near people, and what it has done wrong."""
+        """Store the goals, the time that the robot has spent near people, and its violations of the rules."""
         zeros, people = 0.0 * play.steps, len(play.world.state.people)
         more = {"kept": zeros, "walked": zeros.copy(), "rude": play.steps < 0}
         return {**super().begin(play, rows), **more, "passed": np.zeros((len(zeros), people), np.bool_)}
 
     def goals(self, play: WorldRollout) -> Any:
-        """Return the place where the robot of each world should be now [W, 2] [m]: it moves with people in some modes."""
+        """Return the current goal of each world's robot (x, z) [W, 2] [m], which moves with people in some modes."""
         goals = play.extra("goal")
         own = play.world.state.agents[0].xz
         for w, episode in enumerate(play.episodes):
@@ -198,11 +202,11 @@ class Scenarios(CrowdNav):
         return goals
 
     def moved_goals(self, play: WorldRollout) -> Any:
-        """Return the place where the robot of each world should be after a step [W, 2] [m]."""
+        """Return the goal of the robot of each world after a step (x, z) [W, 2] [m]."""
         return self.goals(play)
 
     def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
-        """Return whether the robot has done what its scenario asks for, and whether the episode is over, bool [W] each."""
+        """Return whether the robot has completed its scenario, and whether the episode has ended, bool [W] each."""
         memory, spec, world = play.memory, play.spec, play.world
         own, people = world.state.agents[0].xz, world.state.people
         success, over = play.steps < 0, play.steps < 0
@@ -237,18 +241,18 @@ class Scenarios(CrowdNav):
         return success & ~touching, over & ~touching
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Return an `AgentView` whose ``extra["goal"]`` is where the robot should be now, and the signs of people."""
+        """Return an `AgentView` whose ``extra`` has the current goal under ``goal``, and the gestures of people."""
         view = play.agent_view(agent, world)
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of `CrowdNav`, for robots also ``gesture``: 1 if a person signs to wait, 2 to proceed, else 0."""
+        """Return the sensors of `CrowdNav`, and for robots ``gesture`` (0: none, 1: wait, 2: proceed)."""
         more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
         return {**super().sensors(kind), **more}
 
 
 class CrowdFollow(Scenarios):
-    """Follow a person at a distance of 1 to 2 m."""
+    """Task to follow a person at a distance of 1 to 2 m."""
 
     agents: ClassVar[tuple[str, ...]] = ("robot", "human")
     cards: ClassVar[str] = "following"
@@ -256,7 +260,7 @@ class CrowdFollow(Scenarios):
 
 
 class CrowdLead(CrowdFollow):
-    """Lead a person to a place."""
+    """Task to lead a person to a place."""
 
     cards: ClassVar[str] = "leading"
 
@@ -268,13 +272,13 @@ class CrowdAccompany(CrowdFollow):
 
 
 class CrowdGiveWay(CrowdFollow):
-    """Let a person through a door first."""
+    """Task to let a person through a door first."""
 
     cards: ClassVar[str] = "narrow_doorway"
 
 
 class CrowdJoin(CrowdFollow):
-    """Take the free place in a group that stands and talks."""
+    """Task to take the free place in a group of people who stand and talk."""
 
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human")
     cards: ClassVar[str] = "join_group"

@@ -1,4 +1,4 @@
-"""Policy of the people of scenario cards: to given places, with a crowd's avoidance, at their time."""
+"""Policy of the people of scenario cards, who walk to given places at given times and avoid others as a crowd does."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.policies.views import AgentView
 
 THERE_M = 0.5
-"""A place counts as reached within this distance."""
+"""Distance within which a place counts as reached [m]."""
 BEHIND_M, LOST_M = 1.3, 6.0
-"""People who follow the robot stop at the first distance, and do not follow it beyond the second."""
+"""Distances at which people who follow the robot stop behind it, and beyond which they no longer follow [m]."""
 PASSED_M = 1.2
-"""Distance of the robot beyond the origin of the card's frame, or past the people, at which people who yield set off [m]."""
+"""Distance of the robot past the frame's origin or past the people at which people who yield start walking [m]."""
 YIELD_S = 15.0
-"""Time after which people who yield set off in any case [s]."""
+"""Time after which people who yield start walking in any case [s]."""
 
 
 class ScriptedPerson:
-    """A person with a role: ``walk``, ``stand``, ``yield`` to the robot, or ``follow`` it (`docs/scenarios.md`)."""
+    """A person with a role: ``walk``, ``stand``, ``yield`` to the robot, or ``follow`` it (see `docs/scenarios.md`)."""
 
     def __init__(
         self, free: FreeSpace, person: Mapping[str, Any], extra: Mapping[str, Any], traits: Traits, walker: WalkerSpec
     ) -> None:
-        """Create a person.
+        """Create the policy of one person.
 
         Args:
-            free: Floor.
+            free: Free floor of the scene.
             person: ``role``, ``path`` [K, 2] [m], ``speed`` [m/s] and ``delay`` [s].
             extra: `Episode.extra`: ``origin`` and ``goal`` of the robot.
             traits: Traits of the person, whose speed becomes that of the card.
@@ -59,7 +59,7 @@ class ScriptedPerson:
         )
 
     def act(self, view: AgentView) -> PoseAction:
-        """Return the place after the next step."""
+        """Return the person's place after the next step."""
         if self._role == "stand":
             return PoseAction(view.xz.copy(), view.heading)
         self._time, self._robot = view.step * STEP_S, view.places[0, :2].copy()

@@ -1,4 +1,4 @@
-"""The renderer for NVIDIA GPUs: thousands of worlds per launch, outputs as torch tensors on the device (h3data docs gpu).
+"""Renderer for NVIDIA GPUs, with thousands of worlds per launch and torch tensors as outputs (h3data docs gpu).
 
 - `renderer`: `GpuRenderer`; `engine`, `auto`: the back ends ``gpu`` and ``auto`` of `h3data.render.Renderer`
 - `gpu_scene`: the moving parts of a scene; `packing`, `pool`, `deformables`, `meshlets`: scenes as arrays for the kernels

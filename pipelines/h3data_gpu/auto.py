@@ -1,4 +1,4 @@
-"""Back end ``auto`` of `h3data.render.Renderer`: the GPU, with the CPU for what the GPU does not support."""
+"""Back end ``auto`` of `h3data.render.Renderer`, which uses the GPU, and the CPU for features that the GPU lacks."""
 
 from __future__ import annotations
 

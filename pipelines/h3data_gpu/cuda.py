@@ -1,7 +1,7 @@
-"""CUDA C that is compiled at first use and launched on torch's stream, by NVRTC and the driver through ctypes.
+"""Compilation of CUDA C at first use, and launches on torch's stream, by NVRTC and the CUDA driver through ctypes.
 
-NVRTC comes with torch's own CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), one file per source,
-options, device and NVRTC version.
+NVRTC is part of torch's CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), with one file for each
+combination of source, options, device and NVRTC version.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class GpuError(H3DataError):
 
 
 def gpu_problem() -> str | None:
-    """Return the reason why no GPU can be used, as a sentence; None if one can."""
+    """Return the reason why no GPU can be used, as a sentence, or None if one can be used."""
     import torch
 
     if not torch.cuda.is_available():
@@ -45,7 +45,7 @@ def gpu_problem() -> str | None:
 
 
 def resolve_device(device: str | torch.device | None) -> torch.device:
-    """Return the CUDA device, including its index; the current one for None.
+    """Return the CUDA device with its index, or the current device if ``device`` is None.
 
     Raises:
         InputError: the machine has no CUDA device, or ``device`` does not name one.
@@ -88,7 +88,7 @@ class Program:
     def launch(
         self, name: str, blocks: int, threads: int, argument: ctypes.Structure, *, shared_bytes: int = 0
     ) -> None:
-        """Launch a kernel on torch's current stream of its device, whichever is current; its only parameter is a struct."""
+        """Launch a kernel, whose only parameter is a struct, on torch's current stream of this program's device."""
         import torch
 
         if blocks == 0:

@@ -1,4 +1,4 @@
-"""The deformable meshes of scenes: clusters, skins, and the faces around every vertex for normals."""
+"""Deformable meshes of scenes, with their clusters, skins, and the faces around each vertex for normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from h3data_gpu.pool import Pool, mesh_arrays
 
 
 class Deformables:
-    """Deformable meshes of all scenes. They precede all others in the pool, so that their per-vertex tables are short."""
+    """Deformable meshes of all scenes, which precede other meshes in the pool to keep per-vertex tables short."""
 
     def __init__(self, scenes: Sequence[GpuScene]) -> None:
         self.scenes = scenes

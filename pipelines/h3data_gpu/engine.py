@@ -1,4 +1,4 @@
-"""Back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
+"""Back end ``gpu`` of `h3data.render.Renderer`, whose outputs are tensors on the device.
 
 Poses come from the host. For thousands of worlds, or if poses are on the device already, use `GpuRenderer`.
 """
@@ -41,7 +41,7 @@ class GpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Set transforms [n, 4, 4] of instances in one world; they are uploaded with the next image."""
+        """Set the transforms [n, 4, 4] (mesh to world) of instances in one world, which the next image uses."""
         self._matrix[world, instances] = matrices
         self._poses_stale = True
 
@@ -51,7 +51,7 @@ class GpuEngine:
         self._poses_stale = True
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replace the vertices [V, 3] of a deformable mesh in one world."""
+        """Replace the vertices [V, 3] [m] of a deformable mesh in one world."""
         if mesh not in self._vertices:
             self._vertices[mesh] = np.tile(self.scene.meshes[mesh].vertices, (self.world_count, 1, 1))
         self._vertices[mesh][world] = vertices
@@ -107,7 +107,7 @@ def _whole(scene: RenderScene) -> GpuScene:
 
 
 def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy ``results`` into the tensors of ``out`` where there are any."""
+    """Copy ``results`` into the tensors of ``out`` of the same names, if there are any."""
     copies = dict(results)
     for name, target in (out or {}).items():
         if name not in copies:

@@ -1,6 +1,6 @@
 """Structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
 
-Pointers of the CUDA code are addresses here.
+Pointers in the CUDA code are represented by device addresses.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 CAMERA_WORDS = 18
-"""Number of words per view: 3x4 matrix from camera to world, fx, fy, cx, cy, near, far."""
+"""Number of 32-bit words per view: a 3x4 matrix from camera to world, fx, fy, cx, cy, near and far."""
 BOX = np.dtype([("center", "3f4"), ("first", "i4"), ("half", "3f4"), ("second", "i4")])
 PLACE = np.dtype([("slot", "i4"), ("layer", "u4"), ("group", "i4"), ("instance", "i4")])
 SCENE = np.dtype(
@@ -30,10 +30,10 @@ GROUP = np.dtype([("first_cluster", "i4"), ("clusters", "i4"), ("body", "i4"), (
 
 
 class Struct(ctypes.Structure):
-    """A struct that is filled by field name; a tensor stands for its address."""
+    """Struct of the CUDA code that is filled by field name; a tensor is stored as its address."""
 
     def fill(self, **values: Any) -> None:
-        """Set fields by name; a tensor stands for the address of its data."""
+        """Set fields by name; a tensor is stored as the address of its data."""
         for name, value in values.items():
             setattr(self, name, value.data_ptr() if hasattr(value, "data_ptr") else value)
 
@@ -47,7 +47,7 @@ def _fields(pointers: str, **rest: str) -> list[tuple[str, Any]]:
 
 
 class World(Struct):
-    """Scene, poses and cameras, which all kernels read."""
+    """Struct with the scene, poses and cameras that all kernels read."""
 
     _fields_ = _fields(
         "vertices triangles clusters items places scenes scene_of_world world_of_view groups poses cameras hidden "
@@ -70,7 +70,7 @@ class Deform(Struct):
 
 
 class Cutouts(Struct):
-    """Textures with transparent pixels, which the rasteriser leaves out."""
+    """Struct with the textures whose transparent pixels the rasteriser leaves out."""
 
     _fields_ = _fields("uv triangle_textures maps opacity")
 

@@ -1,7 +1,7 @@
-"""Meshes cut for the GPU into clusters of at most 64 triangles and 128 vertices, and groups of at most 32 clusters.
+"""Division of meshes into clusters of at most 64 triangles and 128 vertices, and groups of at most 32 clusters.
 
-Splits minimise the surface of bounding boxes (the surface area heuristic of ray tracing): down to groups with binned
-positions (Wald 2007), then within a group at multiples of 64 triangles.
+Splits minimise the surface of bounding boxes (the surface area heuristic of ray tracing). Meshes are split into groups
+at binned positions (Wald 2007), and each group into clusters at multiples of 64 triangles.
 """
 
 from __future__ import annotations
@@ -15,38 +15,42 @@ from h3data.kernels import kernel, kernel_part
 
 CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS = 64, 128, 32
 GROUP_TRIANGLES = 1792
-"""Largest number of triangles of a group; small enough that it seldom has more than 32 clusters. Larger groups measured
-no faster."""
+"""Largest number of triangles of a group, so small that a group seldom has more than 32 clusters. In measurements,
+larger groups were no faster.
+"""
 _BINS = 16
 
 
 class Meshlets(NamedTuple):
-    """The clusters of a mesh."""
+    """Clusters of a mesh."""
 
     vertices: NDArray[np.int32]
-    """Mesh vertex of every cluster vertex, one cluster after another, shape [N]."""
+    """Index of the mesh vertex of each cluster vertex, one cluster after another, shape [N]."""
     triangles: NDArray[np.uint32]
-    """Three vertices within the cluster, 8 bits each, 0 = none, shape [C, 64]."""
+    """Three vertex indices within the cluster for each triangle, 8 bits each, 0 = none, shape [C, 64]."""
     faces: NDArray[np.int32]
-    """Mesh triangle, -1 = none, shape [C, 64]."""
+    """Index of the mesh triangle for each triangle of a cluster, -1 = none, shape [C, 64]."""
     first_vertex: NDArray[np.int32]
-    """First vertex of each cluster, followed by the number of vertices, shape [C + 1]."""
+    """First row in ``vertices`` of each cluster, followed by the total number of rows, shape [C + 1]."""
     triangle_count: NDArray[np.int32]
     """Number of triangles of each meshlet, shape [C]."""
     low: NDArray[np.float32]
-    """Minimum corners of the clusters' boxes, shape [C, 3] [m]."""
+    """Minimum corners of the clusters' bounding boxes in the frame of the mesh, shape [C, 3] [m]."""
     high: NDArray[np.float32]
-    """Maximum corners of the clusters' boxes, shape [C, 3] [m]."""
+    """Maximum corners of the clusters' bounding boxes in the frame of the mesh, shape [C, 3] [m]."""
     cut_out: NDArray[np.bool_]
-    """Clusters whose triangles may have holes (`h3data.render.shade.cutouts`), shape [C]."""
+    """Flags of clusters whose triangles may have holes (`h3data.render.shade.cutouts`), shape [C]."""
     group_first: NDArray[np.int32]
-    """First cluster of each group, followed by the number of clusters, shape [G + 1]."""
+    """First cluster of each group, followed by the total number of clusters, shape [G + 1]."""
 
 
 def build_meshlets(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
 ) -> Meshlets:
-    """Return the clusters of a mesh [V, 3], [F, 3]; triangles with holes (``cut_out`` [F]) get clusters of their own."""
+    """Return the clusters of a mesh with vertices [V, 3] and triangles [F, 3].
+
+    Triangles with holes (``cut_out`` [F]) get clusters of their own.
+    """
     low, high = _triangle_boxes(vertices, faces)
     cut = np.zeros(len(faces), np.bool_) if cut_out is None else cut_out
     order, starts, groups = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)

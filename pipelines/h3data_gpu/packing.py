@@ -1,7 +1,8 @@
-"""Scenes as the arrays that the CUDA code reads. Everything here is NumPy and runs without a GPU.
+"""Packing of scenes into the arrays that the CUDA code reads.
 
-Static instances are baked into world coordinates and cut into clusters layer by layer, across instances; a mesh that moves
-or deforms is cut on its own, once per scene. An *item* is a group of clusters with a transform: the rasteriser's unit.
+Everything here is NumPy and runs without a GPU. Static instances are baked into world coordinates and cut into clusters
+layer by layer, across instances. A mesh that moves or deforms is cut separately, once per scene. An *item* is a group
+of clusters with a transform, and is the rasteriser's unit of work.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """The packed arrays, with names and meanings as in the CUDA structs."""
+    """Arrays of several scenes, with names and meanings as in the CUDA structs."""
 
     vertices: NDArray[np.float32]
     triangles: NDArray[np.uint32]
@@ -60,14 +61,14 @@ class Packed:
     inverse_bind: NDArray[np.float32]
     """Inverse bind matrices by scene, body and joint, shape [S, B, J, 4, 4]."""
     sources: tuple[NDArray[np.float32], ...]
-    """Vertices of each scene's deformable meshes without skin, shape [N, 3]."""
+    """Vertices of each scene's deformable meshes without a skin, in the frame of the mesh, shape [N, 3] [m]."""
     source_first: tuple[dict[int, int], ...]
     """First row of each scene in `sources`, by mesh."""
     layers: tuple[str, ...]
-    """Named layers; layer k is bit k of a place's layer word. The empty layer has no bit."""
+    """Named layers; layer k is bit k of the layer word of an instance. The empty layer has no bit."""
     textured: bool
     deformed_vertices: int
-    """Number of deformed vertices: the maximum over scenes, like the following fields."""
+    """Number of deformed vertices in the scene with the most; the following fields are maxima over scenes too."""
     deformed_clusters: int
     deformed_groups: int
     bodies: int
@@ -81,7 +82,9 @@ class Packed:
 
 @lru_cache(maxsize=1)
 def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
-    """Return the arrays of several scenes. The last result is cached, for renderers of other image sizes.
+    """Return the packed arrays of several scenes.
+
+    The last result is cached, so that renderers of other image sizes can use it again.
 
     Raises:
         InputError: a `GpuScene` refers to something that does not exist, or a scene exceeds the limits of the kernels.

@@ -1,4 +1,4 @@
-"""`Pool`: clusters of many meshes, concatenated as the CUDA code reads them."""
+"""Concatenation of the clusters of many meshes into the arrays that the CUDA code reads."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Pool:
     """Clusters of many meshes, concatenated."""
 
     def __init__(self, *, glossy: bool = False) -> None:
-        """``glossy``: keeps what vertices mirror."""
+        """Create an empty pool; with ``glossy``, it also stores the reflections of vertices."""
         self.glossy = glossy
         self.vertex_count = self.cluster_count = 0
         self.parts: dict[str, list[NDArray[Any]]] = {}
 
     def keep(self, **arrays: NDArray[Any]) -> None:
-        """Append arrays to the parts of the same names."""
+        """Append arrays to the stored parts of the same names."""
         for name, array in arrays.items():
             self.parts.setdefault(name, []).append(array)
 
     def joined(self, name: str, empty: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        """Return all parts of one name, concatenated; zeros of shape ``empty`` if there are none."""
+        """Return all parts of one name, concatenated, or zeros of shape ``empty`` if there are none."""
         return np.concatenate([np.zeros(empty, dtype), *self.parts.get(name, [])])
 
     def add(
@@ -47,7 +47,7 @@ class Pool:
         face_textures: NDArray,
         face_instances: NDArray,
     ) -> NDArray[Any]:
-        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` are per triangle of the mesh."""
+        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` have a row per triangle."""
         clusters = boxes(cut.low, cut.high)
         counts = np.diff(cut.first_vertex)
         clusters["first"] = counts | cut.triangle_count << 16 | np.where(cut.cut_out, _CUT_OUT, np.int32(0))
@@ -82,7 +82,7 @@ class Pool:
 
 
 def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
-    """Return boxes [N] between corners [N, 3], slightly enlarged against rounding."""
+    """Return boxes [N] between opposite corners [N, 3] [m], slightly enlarged as a margin for rounding."""
     out = np.zeros(len(low), BOX)
     center = (low.astype(np.float64) + high) / 2
     half = (high.astype(np.float64) - low) / 2

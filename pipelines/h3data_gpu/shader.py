@@ -1,4 +1,4 @@
-"""Host side of `shade.cu` and `occlusion.cu`: from rasterised words to ids, normals and RGB."""
+"""Host side of `shade.cu` and `occlusion.cu`, which compute ids, normals and RGB from rasterised words."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SCENE_TABLES = (
 
 
 class Shader:
-    """Tables for shading, other than the scenes', and the launches."""
+    """Launcher of the shading kernels, with the tables for shading that are not part of the scenes."""
 
     def __init__(self, tensors: dict[str, torch.Tensor], packed: Packed, light: Light, device: torch.device) -> None:
         import torch
@@ -81,7 +81,7 @@ class Shader:
         self.take_blockers(*(torch.from_numpy(array).to(self.device) for array in arrays))
 
     def take_blockers(self, rows: torch.Tensor, counts: torch.Tensor, receivers: torch.Tensor) -> None:
-        """Set the capsules of every world [W, N, 21], how many of them count [W], and the tints of instances [W, I, 4]."""
+        """Set the capsules [W, N, 21], their number [W] and the tints of instances [W, I, 4] for every world."""
         self._blockers = {"blockers": rows, "blocker_counts": counts, "receivers": receivers}
         self._shade.fill(**self._blockers, blocker_limit=rows.shape[1], receiver_limit=receivers.shape[1])
 

@@ -1,6 +1,6 @@
-"""Skinning with torch, on the CPU or a GPU.
+"""Skinning of bodies with torch, on the CPU or a GPU.
 
-It is the sparse product of `h3data.bodies.people.skinning` with everything on the device.
+It is the sparse product of `h3data.bodies.people.skinning` with all arrays on the device.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class TorchSkin:
     """The skin of one body on a torch device.
 
-    One sparse matrix [V, 4J] times a palette [4J, 3 N] is every vertex of N frames: 1,500 full frames take 0.7 ms on an H100.
+    The product of one sparse matrix [V, 4J] and a palette [4J, 3 N] gives all vertices of N frames. 1,500 frames take
+    0.7 ms on an H100.
     """
 
     def __init__(self, body: Humanoid, *, lod: bool = True, device: str | torch.device = "cpu") -> None:
@@ -38,9 +39,10 @@ class TorchSkin:
         self._inverse_bind = torch.from_numpy(body.inverse_bind).to(self.device, torch.float32)
 
     def __call__(self, joint_matrices: torch.Tensor) -> torch.Tensor:
-        """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4] (worlds, frames, or both), on their device.
+        """Return world vertices, float32 [..., V, 3] [m], for transforms of joints to the world [..., 55, 4, 4].
 
-        A view of vertex-major memory: call ``contiguous()`` where the order matters.
+        The leading axes may be worlds, frames, or both. The result is a view of vertex-major memory; call
+        ``contiguous()`` if the order of the memory matters.
         """
         import torch
 

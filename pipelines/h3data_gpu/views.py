@@ -27,7 +27,7 @@ class Variant(NamedTuple):
     """Number of blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Return the dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""
+        """Return the dynamic shared memory of a block for pixels, depth, scratch and list of items [bytes]."""
         return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 
@@ -44,7 +44,7 @@ def choose_variant(worlds: int, width: int, height: int) -> Variant:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Cameras on the device, as the kernels read them."""
+    """Cameras on the device, in the form that the kernels read."""
 
     key: tuple[Any, ...]
     cameras: torch.Tensor
@@ -68,7 +68,10 @@ def new_views(
     slots: int,
     device: torch.device,
 ) -> Views:
-    """Return views of the worlds ``key[0]`` through one camera of ``size``, or one each; layer k of ``layers`` is bit k."""
+    """Return views of the worlds ``key[0]`` through one camera of ``size``, or through one camera each.
+
+    Layer k of ``layers`` is bit k of the layer word.
+    """
     import torch
 
     world_of_view = np.array(key[0], np.int32)
@@ -115,7 +118,10 @@ def depth_range(camera: Camera) -> tuple[float, float]:
 
 
 def tensor_of(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """Return an array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
+    """Return an array as a tensor on the device.
+
+    Structured arrays become bytes, and uint32 becomes int32, because torch lacks most unsigned operations.
+    """
     import torch
 
     if array.dtype.fields is not None:

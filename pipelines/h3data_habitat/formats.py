@@ -1,4 +1,4 @@
-"""Habitat's formats with their readers and writers: entry points of the group ``h3data.formats``.
+"""Habitat's formats with their readers and writers, as entry points of the group ``h3data.formats``.
 
 They are recognised by `h3data.formats.builtin_formats`.
 """

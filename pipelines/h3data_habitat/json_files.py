@@ -18,7 +18,7 @@ def read_json(path: Path) -> Any:
 
     Raises:
         InputError: there is no such file.
-        FormatError: it is not JSON; the message says where it stops being so.
+        FormatError: the file is not JSON; the message states the position of the fault.
     """
     data = SourceFile(path).data
     try:
@@ -28,7 +28,7 @@ def read_json(path: Path) -> Any:
 
 
 def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> FormatError:
-    """Return the error for bytes that are not a JSON document; they begin at byte ``start`` of the file."""
+    """Return the error for bytes that are not a JSON document; which start at byte ``start`` of the file."""
     text = str(fault)
     if not data.strip():
         return FormatError(f"Expected JSON, the file is empty: {path}", code="H3-FORMAT-010")

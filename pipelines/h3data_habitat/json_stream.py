@@ -1,4 +1,4 @@
-"""Elements of a long JSON array, one by one, with the memory of one element."""
+"""Iteration over the elements of a long JSON array, with the memory of one element."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SPACE = b" \t\r\n"
 
 
 class ArrayFault(Exception):
-    """Error about an array that is incomplete, or has an element that is too long. ``at``: byte of the document."""
+    """Error of an array that is incomplete or has an element that is too long, at byte ``at`` of the document."""
 
     def __init__(self, text: str, at: int) -> None:
         super().__init__(text)
@@ -29,8 +29,8 @@ class ArrayElements:
     """Iterator over the elements of an array of objects: the text of each with its first byte.
 
     ``chunks`` are the text after the array's opening bracket, cut anywhere, the first at byte ``start`` of the document.
-    Only brackets and strings are looked at: what an element holds is for its decoder to judge. After the last one `rest`
-    is what follows the closing bracket in the chunk that has it, and `rest_at` the byte where that begins.
+    Only brackets and strings are interpreted; the contents of an element are checked by its decoder. After the last
+    element, `rest` is the text after the closing bracket in the same chunk, and `rest_at` is its first byte.
 
     Raises `ArrayFault` if the array does not end, a comma or an element is missing, or one is longer than ``longest`` bytes.
     """

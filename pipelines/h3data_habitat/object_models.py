@@ -1,7 +1,4 @@
-"""Models of objects: folders of the YCB set, and Habitat's object configs.
-
-They have mass and grasps, and can replace a home's own objects.
-"""
+"""Models of objects from folders of the YCB set and from Habitat's object configs."""
 
 from __future__ import annotations
 
@@ -29,11 +26,11 @@ from h3data_habitat.scenes.scene_dataset import Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 MESHES = ("textured.obj", "textured.dae", "textured.ply", "nontextured.ply", "nontextured.stl")
-"""Names of mesh files in a folder of the YCB set, the best first."""
+"""Names of mesh files in a folder of the YCB set, in order of preference."""
 VARIANTS = ("google_16k", "google_64k", "google_512k", "poisson", "tsdf", "")
-"""Subfolders of an object with mesh files, the best first; empty: the object's own folder."""
+"""Subfolders of an object with mesh files, in order of preference; empty for the object's own folder."""
 DENSITY_KG_M3 = 400.0
-"""Density of an object whose mass is unknown: half-full packages, wood, fruit."""
+"""Density of an object whose mass is unknown, typical of half-full packages, wood and fruit [kg/m3]."""
 GROWTH_M = 0.08
 """Largest difference along each axis by which a model may be larger than the thing that it replaces [m]."""
 GAP_M = 0.01

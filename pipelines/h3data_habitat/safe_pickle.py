@@ -1,7 +1,8 @@
 """Reading of pickles of plain values and NumPy arrays without running anything that they name.
 
-Unpickling calls whatever a file names. This unpickler has an allow-list instead, with checked stand-ins of its own behind
-every name: NumPy's functions trust their arguments, and ``dtype.__setstate__`` would change a dtype of the whole process.
+Unpickling calls whatever a file names. This unpickler has an allow-list instead, with its own checked placeholder for
+every name, because NumPy's functions trust their arguments, and ``dtype.__setstate__`` would change a dtype of the
+whole process.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _DTYPES = {"O8", "b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4
 
 
 def is_pickle(data: bytes) -> bool:
-    """Return whether these bytes begin like a pickle of protocol 2 or later."""
+    """Return whether data start like a pickle of protocol 2 or later."""
     return len(data) > 1 and data[0] == 0x80 and 2 <= data[1] <= 5
 
 

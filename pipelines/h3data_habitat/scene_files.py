@@ -1,4 +1,4 @@
-"""Scene files that recordings and episodes refer to, searched below the user's asset folders."""
+"""Search for scene files of recordings and episodes below the user's asset folders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from h3data_habitat.scenes.scene_instance import HABITAT_ENDINGS
 
 
 class Folders(Protocol):
-    """Asset folders: `AssetFolders` or `AssetLibrary`."""
+    """Protocol of asset folders, such as `AssetFolders` or `AssetLibrary`."""
 
     @property
     def roots(self) -> tuple[Path, ...]:
@@ -50,11 +50,11 @@ def _files_named(root: Path, name: str) -> tuple[Path, ...]:
 
 @functools.lru_cache(maxsize=16)
 def folders_of(assets: tuple[str, ...]) -> AssetFolders:
-    """Return asset folders, each walked once; () stands for those of H3DATA_ASSETS."""
+    """Return asset folders, each searched only once; an empty tuple selects those of H3DATA_ASSETS."""
     return AssetFolders(assets)
 
 
 @functools.lru_cache(maxsize=16)
 def dataset_at(path: str) -> SceneDataset:
-    """Return the scene dataset of a config, read once."""
+    """Return the scene dataset of a config, which is read only once."""
     return load_scene_dataset(Path(path))

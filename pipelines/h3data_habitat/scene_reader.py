@@ -1,4 +1,4 @@
-"""Reader of Habitat's scenes by path: an entry point of the group ``h3data.scenes``."""
+"""Reader of Habitat's scenes by path, as an entry point of the group ``h3data.scenes``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_scene(file: SceneFile) -> Scene:
 def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     """Return the mesh of an object template, in the frame of the object's logged poses: around its centre of mass [m].
 
-    Habitat puts that at the config's ``COM``, else in the middle of the mesh's box (spec/habitat.md 6.1).
+    Habitat puts the centre of mass at the config's ``COM``, else in the middle of the mesh's box (spec/habitat.md 6.1).
 
     Raises:
         SceneError: the template cannot be used.

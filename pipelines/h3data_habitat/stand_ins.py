@@ -42,9 +42,9 @@ BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
     "small_object": (122, 176, 138),
     "furniture": (196, 178, 152),
 }
-"""Colour of the boxes of each kind."""
+"""Colours of the boxes that replace missing objects, by kind."""
 MODELS = {"spot": "quad_arm", "stretch": "lift_arm", "fetch": "lift_arm"}
-"""Built-in robots by a part of the name of the folder of the robot that they replace."""
+"""Built-in robots, by a part of the folder name of the robots that they replace."""
 _SPOT_LINKS = {
     "base": "base_link",
     **{
@@ -73,9 +73,9 @@ LONGEST_NAME = 32
 def with_stand_ins(recording: Recording, library: AssetLibrary) -> tuple[Recording, dict[str, int]]:
     """Return the recording with built-in bodies for agents without assets, and the number of their bodies by file name.
 
-    What was recorded of them stays: robots keep their base and the joints of links that a built-in robot has too, people the
-    posture of their bones. Of people of whom only the root was recorded a walk is made from their path, as of imported HITL
-    sessions. Robots that are like no built-in one stay bodies.
+    Recorded data are kept: robots keep their base and the joints of links that the built-in robot also has, and people
+    keep the posture of their bones. For people with only a recorded root, a walk is synthesised from their path, as for
+    imported HITL sessions. Robots that resemble no built-in robot remain plain bodies.
     """
     refs = {ref.name: ref for ref in recording.assets}
     rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}

@@ -1,4 +1,4 @@
-"""Machine code of h3data's kernels, in one folder for each Python, numba, system and level of processor.
+"""Machine code of h3data's kernels, with one folder for each combination of Python, numba, system and processor level.
 
-`h3data.kernels.shipped` finds and loads it. `make kernels` makes it, by running what is in `build.py`.
+`h3data.kernels.shipped` finds and loads the machine code. `make kernels` builds it by running `build.py`.
 """

@@ -1,8 +1,9 @@
-"""Builder of the compiled kernels that h3data's commands use, for this Python and numba: ``make kernels``.
+"""Builder of the compiled kernels that h3data's commands use, for this Python and numba (``make kernels``).
 
-It runs the commands of `SESSIONS`, each session in a process tree and with caches of its own, and keeps what they have loaded
-or compiled (`h3data.kernels.shipped.RECORD`). Kernels whose code has not changed are loaded from the folder, so only new ones
-take time: all of them take some five minutes on two idle cores, none of them one.
+It runs the commands of `SESSIONS`, each session in its own process tree and with its own caches, and stores the kernels
+that they have loaded or compiled (`h3data.kernels.shipped.RECORD`). Kernels whose code has not changed are loaded from
+the folder, so only new kernels take time: about five minutes on two idle cores if all are new, and one minute if none
+are.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         f"{TESTS} tests/worlds/test_usd_foreign.py -k right_size_and_floor",
     ),
 }
-"""Commands that users run, by their names in progress messages, and tests for commands that need users' files.
+"""Commands that users run, by their names in progress messages, and tests in place of commands that need users' files.
 ``{scratch}`` is a folder of the session; everything runs in the checkout, with Habitat's files in
 ``../shared/real``."""
 

@@ -1,1 +1,1 @@
-"""Tasks in words: instructions with propositions, their evaluation from recordings, and experts that carry them out."""
+"""Tasks in words, with instructions, propositions, their evaluation, and experts that carry them out."""

@@ -1,4 +1,4 @@
-"""Sampling of tasks in words: a template, things and places of a home for its slots, free spots, checks of the result."""
+"""Sampling of tasks in words, with a template, things and places of a home, free spots, and checks of the result."""
 
 from __future__ import annotations
 
@@ -44,16 +44,19 @@ NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
 """Distance between things that are placed next to each other [m], well within the limit of the proposition."""
 IN_TIME = 0.8
-"""Share of the longest duration in which a person alone can do the work, estimated by straight lines."""
+"""Share of the longest duration within which a person alone must complete the work, as estimated along straight
+lines.
+"""
 DETOUR = 1.4
 """Approximate ratio of the length of a path to the straight line."""
 ERRAND_S = 8.0
-"""Approximate time to take and to put down one thing, doors and turning included [s]."""
+"""Approximate time to take and put down one thing, including doors and turning [s]."""
 FLOOR_POINTS, FLOOR_TRIED = 400, 12
 """Number of points that are sampled on a room's floor, and number of those that are tried."""
 FLOOR_GAP_M, FLOOR_EDGE_M, FLOOR_NEAR_M = 0.02, 0.25, 0.7
-"""Distances of a thing on the floor from walls and furniture, at least, and of its middle, at most: people whose bodies have
-this radius walk past it; and the distance of the middles of things next to each other, at most [m]."""
+"""Limits for things on the floor [m]: smallest distance from walls and furniture, largest distance of the centre from
+them (people with bodies of this radius can walk past), and largest distance between the centres of neighbouring things.
+"""
 STATES = ("clean", "filled", "powered")
 
 
@@ -66,9 +69,9 @@ class LanguageSpec(RearrangeSpec):
     """Number of things that can be taken, including those that the task does not need."""
     end_on_collision: bool = False
     kind: str = ""
-    """Type of the task: free, spatial, temporal or heterogeneous; empty: any."""
+    """Type of the task: free, spatial, temporal or heterogeneous; empty for any."""
     template: str = ""
-    """Name of the template (`h3data_language.templates`); empty: any of the type."""
+    """Name of the template (`h3data_language.templates`); empty for any of the type."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,7 +88,7 @@ class LanguageSpec(RearrangeSpec):
             )
 
     def templates(self, kind: str = "") -> list[Template]:
-        """Return the templates that these rules allow; without a type among them, those of ``kind``."""
+        """Return the templates that these rules allow; if the rules name no type, those of type ``kind``."""
         kind = self.kind or ("" if self.template else kind)
         return [
             t
@@ -99,16 +102,18 @@ class Errand(msgspec.Struct, frozen=True):
 
     thing: int
     handle: bool
-    """True if a person has to clean, fill, pour out or switch the thing; False if it has to be brought to a goal."""
+    """True if a person has to clean, fill, pour out or switch the thing; False if the thing has to be brought to a
+    goal.
+    """
     stage: int = 0
     """Number of the goal, for a thing that moves more than once."""
     after: tuple[int, ...] = ()
-    """Errands that have to be completed before."""
+    """Errands that have to be completed before this one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LanguageTask:
-    """A task in words, with all that is needed to judge and to carry it out."""
+    """Task in words, with all data that are needed to judge it and to carry it out."""
 
     instruction: str
     targets: tuple[Target, ...]
@@ -120,7 +125,7 @@ class LanguageTask:
 def sample_task(
     scene: Scene, free: FreeSpace, seed: int, spec: LanguageSpec, robot: Robot, human: Humanoid
 ) -> LanguageTask:
-    """Sample the task in words with this seed.
+    """Sample the task in words with a given seed.
 
     Raises:
         SceneError: the home has no things and places for any template that the rules allow.
@@ -146,7 +151,7 @@ def sample_task(
 
 @dataclass(eq=False)
 class SpotFinder:
-    """Free spots for things in a home that robot and person reach."""
+    """Finder of free spots for things in a home that robot and person can reach."""
 
     home: Home
     free: FreeSpace
@@ -166,10 +171,10 @@ class SpotFinder:
         other: str = "",
         anchor: tuple[Array, str] | None = None,
     ) -> tuple[Array, str] | None:
-        """Return a free spot [3] for a thing on or inside some furniture, and its receptacle; None: there is none.
+        """Return a free spot [3] [m] for a thing on or in furniture, and its receptacle, or None.
 
-        Names that begin with `FLOOR` stand for the floor of a room. With ``anchor``, the spot and receptacle of the thing
-        ``other``, it is next to that.
+        Names that start with `FLOOR` denote the floor of a room. With ``anchor``, the spot and receptacle of the thing
+        ``other``, the spot is next to that thing.
         """
         instance = next(i for i in self.home.scene.instances if i.name == thing)
         known = self.home.enclosed if inside else self.home.surfaces
@@ -431,14 +436,14 @@ class _Draw:
 
 
 def in_scene(receptacle: str) -> str:
-    """Return the name of a receptacle as scenes have it; empty for a place on the floor."""
+    """Return the name of a receptacle as in scenes; empty for a place on the floor."""
     return "" if receptacle.startswith(FLOOR) else receptacle
 
 
 def errands_of(
     template: Template, order: Sequence[str], goals: Mapping[str, Sequence[tuple[NDArray, str]]]
 ) -> tuple[Errand, ...]:
-    """Return the work of a template, with the order that it requires."""
+    """Return the errands of a template, in the order that it requires."""
     found: list[Errand] = []
     of_clause: list[list[int]] = []
     for k, clause in enumerate(template.clauses):
@@ -474,13 +479,13 @@ def steps_alone(task: LanguageTask, spec: LanguageSpec) -> float:
 
 
 def can_be_done(task: LanguageTask) -> bool:
-    """Return whether a task's errands, done one after the other, complete it, and it is not complete from the start."""
+    """Return whether a task's errands complete it when done in sequence, and it is not complete from the start."""
     verdict = evaluate_errands(task.targets, task.extra)
     return verdict.percent_complete == 1 and not bool((verdict.satisfied_at == 0).any())
 
 
 def evaluate_errands(targets: Sequence[Target], extra: Mapping[str, Any]) -> Verdict:
-    """Evaluate the propositions of a task whose errands are done one after the other."""
+    """Evaluate the propositions of a task whose errands are done in sequence."""
     evaluation, layout = Evaluation.of(extra), msgspec.convert(extra[LAYOUT], Layout)
     poses = [np.array([t.start for t in targets], np.float32)]
     states = [{name: np.array(flags, np.bool_) for name, flags in extra["states"].items()}]

@@ -1,8 +1,8 @@
-"""Experts for tasks in words, which know the errands of a task and share them, or each choose the nearest.
+"""Experts for tasks in words, which know the errands of a task, and either share them or choose the nearest.
 
-``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
-and leaves to others what they hold or head for. ``language_talk`` plans for itself, and says so. With the rule
-``observe=seen`` all of them search for things that they have not seen.
+``language_expert`` is one plan for all agents who follow it, one or two. ``language_greedy`` decides for one agent, and
+leaves to others the things that they hold or move towards. ``language_talk`` plans for one agent, and announces its
+plans. With the rule ``observe=seen`` all of them search for things that they have not seen.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from sim_kinematic.policies.searching import Search, is_search
 
 EXPERTS = ("language_expert", "language_greedy", "language_talk", "language_still")
 HANDLING_M = 1.4
-"""Distance from which a person handles a thing [m]; somewhat less than the task allows."""
+"""Distance from which a person handles a thing [m]; slightly less than the task allows."""
 HANDLING_WAIT = 15
-"""Number of steps for which a person handles a thing; somewhat more than it takes."""
+"""Number of steps for which a person handles a thing; slightly more than handling takes."""
 PAUSE = 8
 """Number of steps after which an agent without an errand asks again."""
 AVOID = 90
 """Number of steps for which an errand is avoided after failures."""
 LATE = 600
-"""Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
+"""Number of steps after which an agent without an errand takes over an errand whose thing has not been taken yet."""
 PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
 """Largest number of orders of the errands that are compared; with more errands, the nearest comes first."""
 ASIDE_M = 2.0
-"""Least distance between an agent that asks another to move and the thing to which the other goes [m]."""
+"""Smallest distance between an agent that asks another to move and the thing to which it wants to go [m]."""
 ESCAPES = tuple(
     ("turn_" + side,) * 2 + ("move_" + way,) * 4 for way in ("backward", "forward") for side in ("left", "right")
 )
@@ -75,7 +75,7 @@ class Plan:
         """Last known place of each agent who follows the plan."""
 
     def done(self, view: RearrangeView) -> set[int]:
-        """Return the errands that are done, from the view of an agent."""
+        """Return the errands that are done, as far as an agent can see."""
         found = self.handled | {n for n in self.brought if not view.is_known(self.errands[n].thing)}
         for n, errand in enumerate(self.errands):
             if not errand.handle:
@@ -87,7 +87,7 @@ class Plan:
         return found
 
     def open(self, view: RearrangeView, agent: int) -> list[int]:
-        """Return the errands that an agent can begin now."""
+        """Return the errands that an agent can start now."""
         done, others = self.done(view), {self.errands[n].thing for a, n in self.doing.items() if a != agent}
         return [
             n
@@ -102,7 +102,7 @@ class Plan:
         ]
 
     def early(self, view: RearrangeView, agent: int) -> int:
-        """Return the nearest errand whose thing an agent can fetch while others complete its conditions; -1: none."""
+        """Return the nearest errand whose thing can be fetched while others complete its conditions; -1 if none."""
         done, theirs = self.done(view), {n for a, n in self.doing.items() if a != agent}
         things = {self.errands[n].thing for n in theirs}
         found = [
@@ -124,7 +124,7 @@ class Plan:
         return not set(self.errands[n].after) <= self.done(view)
 
     def rescue(self, view: RearrangeView, agent: int) -> int:
-        """Return an errand to take over from an agent that is late with it, for an agent without one; -1: none."""
+        """Return a late errand of another agent that an agent without errand takes over; -1 if there is none."""
         for other, n in self.doing.items():
             thing = self.errands[n].thing
             late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY and view.is_known(thing)
@@ -134,7 +134,7 @@ class Plan:
         return -1
 
     def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
-        """Return the length of the path of an errand from a place, its work included [m], and its end."""
+        """Return the length of an errand's path from a place, including its work [m], and its end point."""
         errand = self.errands[n]
         start = view.objects[errand.thing, [0, 2]]
         length = self._path(view, here, start) + WORK_M
@@ -152,7 +152,7 @@ class Plan:
         return self.paths[key]
 
     def choose(self, view: RearrangeView, agent: int) -> int:
-        """Return the errand that an agent does next; -1: none."""
+        """Return the errand that an agent does next; -1 if there is none."""
         mine = self.open(view, agent)
         if not mine:
             return -1
@@ -220,7 +220,7 @@ class Expert:
             self.plan = shared
 
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present errand, or of the next one that it begins."""
+        """Return the next skill of the current errand, or of the next errand that the agent starts."""
         if not self.greedy and not self.begun:
             self._begin(view)
         plan = self.plan
@@ -253,7 +253,7 @@ class Expert:
         return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
+        """Return the reason to stop if another agent has taken the thing to which this agent is going, else empty."""
         action = view.action
         if action is not None and is_search(action) and self.number not in self.plan.doing:
             over = action.skill == SEARCH and self.search.is_over(view)
@@ -317,7 +317,7 @@ class Expert:
 
 
 class Talker(Speaker, Expert):
-    """Agent with a plan of its own, which announces what it takes, leaves, has handled and sees, and hears others do so."""
+    """Agent with its own plan, which announces what it takes, leaves, handles and sees, and listens to others."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str]) -> None:
         Speaker.__init__(self, episode)
@@ -349,7 +349,7 @@ class Talker(Speaker, Expert):
         return None if near is None else Action("nav_to_object", near)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to stop, as for the other experts; an agent can always step aside."""
+        """Return the reason to stop, as for the other experts; an agent can step aside at any time."""
         return "" if self._steps_aside else Expert.interrupts(self, view)
 
     def _tell(self, view: RearrangeView) -> None:
@@ -405,7 +405,7 @@ class Idle:
 
 
 def expert(name: str, episode: Any, number: int, kinds: Sequence[str]) -> Any:
-    """Return a fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
+    """Return a new expert for one agent of an episode; those of ``language_expert`` share a plan."""
     if name == "language_still":
         return Idle()
     if name == "language_talk":

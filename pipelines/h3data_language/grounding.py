@@ -1,4 +1,4 @@
-"""Words for the things, furniture and rooms of a home, and their meaning."""
+"""Words for the things, furniture and rooms of a home, and their interpretation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 
 FLOOR = "floor of "
-"""Beginning of the names of places on the floor of rooms."""
+"""Prefix of the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
 """Furniture on which nobody is asked to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
@@ -36,7 +36,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """Home with words for the things in it."""
+    """Home with words for its things."""
 
     scene: Scene
     layout: Layout
@@ -56,11 +56,11 @@ class Home:
     categories: Mapping[str, str]
     """Kind of each thing."""
     place_of: Mapping[str, Place] = field(default_factory=dict)
-    """The place that a piece of furniture belongs to."""
+    """Place to which each piece of furniture belongs."""
 
 
 def spoken(name: str) -> str:
-    """Return words for a kind or a room: ``bedroom_1`` is "bedroom 1"."""
+    """Return words for a kind or a room, such as "bedroom 1" for ``bedroom_1``."""
     head, _, number = name.rpartition("_")
     if number.isdigit():
         return f"{_ROOMS.get(head, head.replace('_', ' '))} {number}"
@@ -68,7 +68,7 @@ def spoken(name: str) -> str:
 
 
 def room_words(room: str) -> str:
-    """Return words for one room: "the kitchen", "bedroom 1"."""
+    """Return words for one room, such as "the kitchen" or "bedroom 1"."""
     words = spoken(room)
     return words if words[-1].isdigit() else f"the {words}"
 
@@ -131,14 +131,14 @@ def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -
 
 
 def room_at(layout: Layout, point: Iterable[float]) -> str:
-    """Return the name of the room over whose floor a point [3] of the world is; empty if it is in none."""
+    """Return the name of the room that contains a world point [3] [m] over its floor; empty if there is none."""
     x, _, z = point
     inside = (r for r, parts in layout.rooms.items() if any(a <= x <= c and b <= z <= d for a, b, c, d in parts))
     return next(inside, "")
 
 
 def thing_words(home: Home, thing: str, start: Place | None, *, stays: bool = False) -> str:
-    """Return words for a thing: its kind if it is the only one of it in the home, else also its place."""
+    """Return words for a thing: its kind if that is unique in the home, and otherwise also its place."""
     kind = home.categories[thing]
     if sum(other == kind for other in home.categories.values()) == 1 or start is None:
         return f"the {spoken(kind)}"
@@ -155,7 +155,7 @@ def clause_parts(clause: str) -> tuple[int, str, list[list[str]]]:
 
 
 def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposition | None:
-    """Return the proposition of a clause for the names in its slots; None for one without a requirement."""
+    """Return the proposition of a clause for the names in its slots; None for a clause without a requirement."""
     number, verb, lists = clause_parts(clause)
     first, *rest = ([name for slot in each for name in slots[slot]] for each in lists)
     if verb == "at":
@@ -204,14 +204,14 @@ def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> d
 
 
 Words = Mapping[str, Mapping[str, tuple[str, ...]]]
-"""Names that phrases mean, by slots: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
+"""Names that phrases mean, by slots: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` furniture that opens."""
 
 
 def parse(instruction: str, words: Words) -> list[Evaluation]:
-    """Find all possible evaluations of an instruction: one, unless it is ambiguous.
+    """Return all possible evaluations of an instruction, which is one unless it is ambiguous.
 
     Raises:
-        InputError: it means nothing: no wording fits, or something in it is not in the home.
+        InputError: no wording matches the instruction, or it names something that is not in the home.
     """
     text = instruction[:1].lower() + instruction[1:]
     found: list[Evaluation] = []

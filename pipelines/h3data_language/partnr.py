@@ -1,8 +1,8 @@
-"""PARTNR's episodes as tasks in words: the goals and order that make their propositions true.
+"""PARTNR's episodes as tasks in words, with goals and an order that make their propositions true.
 
-An episode says when it is complete, not how. Here each of its propositions gets things, of which each gets a place, so that
-experts carry them out and skills know goals; evaluated are the propositions alone. The files are those of PARTNR's users,
-with its scenes and objects (Chang et al. 2024, 2411.00081).
+An episode defines when it is complete, but not how. Here each of its propositions gets things, and each thing gets a
+place, so that experts and skills have goals. Only the propositions are evaluated. The files are those of PARTNR's
+users, with its scenes and objects (Chang et al. 2024, 2411.00081).
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ TRIES = 8
 LONGEST_INSTRUCTION = 5_000
 """Largest number of characters of an instruction, which is part of every request to a language model."""
 MAX_STEPS = 20_000
-"""Longest duration of PARTNR's episodes."""
+"""Longest duration of PARTNR's episodes [steps]."""
 
 
 class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
-    """A task in words in an episode file."""
+    """Task in words that is stored in an episode file."""
 
     extra: Mapping[str, Any]
     """Value of `Episode.extra`: propositions, layout, states, errands; without layout and errands for PARTNR's
@@ -67,7 +67,7 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
 
     Raises:
         FormatError: its propositions or states are malformed.
-        InputError: it cannot be played in any scene.
+        InputError: the episode cannot be played in any scene.
     """
     if PROPOSITIONS not in entry.extra:
         return None
@@ -102,7 +102,7 @@ def read_episode(entry: FileEntry) -> StoredLanguage | None:
 
 
 def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
-    """Return the states of things at the start of an episode, by our names; false if the file gives none.
+    """Return the states of things at the start of an episode, by h3data's names; missing states are false.
 
     Raises:
         FormatError: they are malformed.
@@ -118,9 +118,10 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
 
 
 def kind_of(propositions: Sequence[Proposition], extra: Mapping[str, Any]) -> Kind:
-    """Return the type of a task as in PARTNR.
+    """Return PARTNR's type of a task.
 
-    If several fit, the order is: what only people can do, an order of steps, neighborhood.
+    If several types fit, the first in this order is used: actions that only people can do, an order of steps, things
+    near each other.
     """
     names = {p.function_name for p in propositions}
     if names & set(STATE_OF):
@@ -153,7 +154,7 @@ class PartnrPlan:
     things: list[str]
     propositions: list[Proposition]
     edges: list[tuple[int, int]]
-    """Pairs of propositions, the earlier first."""
+    """Pairs of propositions, with the earlier one first."""
 
     def __post_init__(self) -> None:
         before: dict[int, set[int]] = {k: set() for k in range(len(self.propositions))}
@@ -268,12 +269,12 @@ class PartnrPlan:
         """Sample a spot and its receptacle for each stage of each thing.
 
         Args:
-            spots: Free spots, of which those that are found are taken.
+            spots: Finder of free spots, which marks the spots that it returns as taken.
             starts: Position [3] and receptacle of each thing.
             ties: Kinds (``Same``, ``Different``) and propositions of constraints about furniture.
 
         Raises:
-            SceneError: there is no room.
+            SceneError: there is not enough room.
         """
         found: dict[str, list[tuple[Array, str]]] = {}
         stood: dict[int, str] = {}
@@ -332,8 +333,8 @@ def plan_episode(
     """Place the goals for the things of an episode of PARTNR's files in its scene; also return `Episode.extra`.
 
     Raises:
-        InputError: its propositions name what is not in the scene, or contradict each other.
-        SceneError: the scene has no places by which they become true.
+        InputError: its propositions name things that are not in the scene, or contradict each other.
+        SceneError: the scene has no places that make the propositions true.
     """
     home, things = home_of(scene, spec.open_m), [thing.name for thing in record.objects]
     poses = {i.name: np.asarray(i.pose, np.float64) for i in scene.instances}
@@ -401,7 +402,7 @@ def _sources(record: StoredLanguage, scene: Scene) -> dict[str, str]:
 
 
 def owner_in(receptacle: str) -> str:
-    """Return the name of the furniture in that of a receptacle: ``counter_0`` in ``counter_0/drawer_1|bottom``."""
+    """Return the furniture in the name of a receptacle, such as ``counter_0`` in ``counter_0/drawer_1|bottom``."""
     name = receptacle.partition("|")[0]
     return name if name.startswith(FLOOR) else name.partition("/")[0]
 

@@ -1,4 +1,4 @@
-"""Live play of tasks in words: instructions and choices for players, their commands, and their messages."""
+"""Live play of tasks in words, with instructions, choices, commands and messages of players."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ SAID = {
     "is_in": "The {} is on the {} ({}).",
     "please_move": "Please move aside.",
 }
-"""Sentences for messages that have a meaning for planners."""
+"""Sentences for messages with a structured meaning for planners."""
 PROGRESS = "{} of {} parts of the task are done."
 
 
 class LanguageDriver(SkillDriver):
-    """Agent of a task in words: it also brings things to places by their names, and people clean, fill, pour and switch."""
+    """Agent of a task in words that can bring things to named places, and, if a person, also handle them."""
 
     def follow(self, message: Act) -> str:
-        """Carry out a message; those of tasks in words become skills."""
+        """Carry out a message of a player; commands of tasks in words become skills."""
         if isinstance(message, Use):
             return self.use(message)
         if isinstance(message, Bring):
@@ -95,7 +95,7 @@ class LanguagePerson(LanguageDriver, PersonDriver):
 
 
 class LanguageRobot(LanguageDriver, RobotDriver):
-    """Robot of a task in words. It puts things down only at goals, so it assigns another goal first."""
+    """Robot of a task in words, which puts things down only at goals and therefore assigns a new goal first."""
 
     def bring(self, k: int, to: Destination) -> str:
         """Give held thing ``k`` a goal at a destination and bring it there."""
@@ -106,7 +106,7 @@ class LanguageRobot(LanguageDriver, RobotDriver):
 
 
 class LanguageApp(RearrangeApp):
-    """App in which players read an instruction, carry it out together with the other agents, and talk to them."""
+    """App in which players read an instruction, carry it out with the other agents, and send them messages."""
 
     task: ClassVar[str | type[Task]] = "language"
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 9000, "end_on_collision": False, "solid_agents": True}
@@ -141,7 +141,7 @@ class LanguageApp(RearrangeApp):
         return []
 
     def phrases(self) -> list[Phrase]:
-        """Return messages for buttons: things that a player takes or has brought, and a request to make room."""
+        """Return the messages on buttons, about things that are taken or brought, and a request to make room."""
         things = self.session.play.team.objects.names  # type: ignore[attr-defined]
         found = [
             Phrase(self.spoken(said.text), said.text)
@@ -169,7 +169,7 @@ class LanguageApp(RearrangeApp):
         return sorted(spots, key=lambda spot: spot.room)
 
     def spoken(self, text: str) -> str:
-        """Return a sentence for a message of a planner; texts of people and language models stay as they are."""
+        """Return a sentence for a planner's message; texts of people and language models are not changed."""
         intent = Intent.of(text)
         if intent is None:
             return text

@@ -1,7 +1,8 @@
-"""Planners of rearrangement that announce what they take and where things are, and the same planners without messages.
+"""Planners of rearrangement that announce what they take and where things are, and versions without messages.
 
-``nearest_talk`` and ``nearest_quiet`` bring the nearest object that is left, as robots and as people. The first leaves to
-others what they have said to take, and with the rule ``observe=seen`` looks first where it has been told that an object is.
+``nearest_talk`` and ``nearest_quiet`` bring the nearest remaining object, as robots and as people. ``nearest_talk``
+leaves to others the objects that they have announced, and with the rule ``observe=seen`` first searches where others
+have reported an object.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
 
 
 def nearest_talk(task: Any, episode: Any, number: int) -> Any:
-    """Return a planner that also announces what it takes and sees, and hears others do so."""
+    """Return a planner that also announces what it takes and sees, and uses the announcements of others."""
     del task
     return Teller(episode, number)
 
@@ -59,7 +60,7 @@ class Teller(Speaker):
         return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to interrupt the running action, as that of the planner."""
+        """Return the reason to interrupt the running action, as the planner without messages does."""
         self._listen(view)
         return self.policy.interrupts(view)
 

@@ -1,6 +1,6 @@
-"""Messages with a structure, by which planners tell each other what they do and where things are.
+"""Structured messages by which planners inform each other about their actions and the places of things.
 
-A message is text (`h3data.policies.Message`). One of these texts has a meaning for planners too: ``i_take mug_0``.
+A message is text (`h3data.policies.Message`). Texts such as ``i_take mug_0`` also have a meaning for planners.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Intent(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Intent | None:
-        """Return the meaning of a text; None if it has none for planners."""
+        """Return the structured meaning of a text; None if it has none."""
         kind, *names = text.split() or [""]
         return cls(kind, tuple(names)) if INTENTS.get(kind) == len(names) else None
 
@@ -48,7 +48,7 @@ def say(kind: str, *names: str, to: str = "") -> Message:
 
 
 class Speaker(ABC):
-    """Planner that, once it has chosen what to do next, first says what has changed."""
+    """Planner that first announces changes once it has chosen what to do next."""
 
     def __init__(self, episode: Any) -> None:
         self._names = [target.name for target in episode.targets]

@@ -57,22 +57,22 @@ _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
 
 
 class LanguageCodec(RearrangeCodec):
-    """Codec of tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
+    """Codec of tasks in words, which extends that of rearrangement by propositions in PARTNR's JSON."""
 
     foreign: ClassVar[str] = PROPOSITIONS
 
     def record(self, episode: Episode) -> StoredLanguage:
-        """Return the record of an episode: that of rearrangement, and the other sampled values."""
+        """Return the record of an episode: the record of rearrangement, and the other sampled values."""
         record = super().record(episode)
         return StoredLanguage(**{f: getattr(record, f) for f in record.__struct_fields__}, extra=plain(episode.extra))
 
     entry = EpisodeCodec[StoredRearrangement].entry  # not in the form of Habitat's rearrangement episodes
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
-        """Return the record in an entry of a file, ours or PARTNR's, which gets the seed; None for entries of other tasks.
+        """Return the record in an entry of h3data's or PARTNR's files with a seed; None for entries of other tasks.
 
         Raises:
-            FormatError, InputError: its propositions are malformed, or ask for what cannot be played.
+            FormatError, InputError: its propositions are malformed, or require things that cannot be played.
         """
         record = read_info_block(entry, self.task.name, StoredLanguage)
         if record is not None:
@@ -82,7 +82,7 @@ class LanguageCodec(RearrangeCodec):
         return record
 
     def rules(self, record: StoredRearrangement) -> LanguageSpec:
-        """Return the rules in a record; PARTNR's episodes may last longer than ours."""
+        """Return the rules in a record; PARTNR's episodes may last longer than h3data's."""
         spec = super().rules(record)
         assert isinstance(spec, LanguageSpec)
         return spec if record.rules else replace(spec, max_steps=MAX_STEPS)
@@ -91,7 +91,8 @@ class LanguageCodec(RearrangeCodec):
         """Return the episode of a record in an opened scene, where the things of PARTNR's episodes get places.
 
         Raises:
-            InputError, SceneError: PARTNR's episode asks for what is not in the scene, or cannot be done in it.
+            InputError, SceneError: PARTNR's episode requires things that are not in the scene, or cannot be completed
+                in it.
         """
         assert isinstance(record, StoredLanguage)
         if not record.is_planned:
@@ -108,7 +109,7 @@ class LanguageCodec(RearrangeCodec):
         """Return the episode of a recording, from the rules, starts, goals and propositions in its info.
 
         Raises:
-            InputError: the recording lacks one of them, or it is malformed.
+            InputError: one of these entries is missing or malformed.
         """
         require_info(recording, "extra", *_STORED)
         info, episode = recording.episode.info, super().restore(recording, scene)
@@ -120,7 +121,7 @@ class LanguageCodec(RearrangeCodec):
         return replace(episode, extra=extra)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Return the info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
+        """Return the info of rearrangement with propositions, dependencies, constraints and the home's layout."""
         extra = dict(episode.extra)
         stored = {name: extra.pop(name) for name in _STORED}
         return {**super().info(episode, policies), **stored, "extra": extra}
@@ -137,7 +138,7 @@ class LanguageCodec(RearrangeCodec):
         return {"ended": play.ended}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Return nothing, as no value takes long to compute."""
+        """Return nothing, because no value takes long to compute."""
         del episode
         return {}
 
@@ -146,7 +147,7 @@ def check_extra(extra: Mapping[str, Any], things: int) -> None:
     """Check the propositions of an episode, and the data about its things.
 
     Raises:
-        InputError: they are malformed, or name what is not in the home.
+        InputError: propositions are malformed, or name things that are not in the home.
     """
     check_names(Evaluation.of(extra).propositions, Layout.of_info(extra))
     try:
@@ -163,7 +164,10 @@ def check_extra(extra: Mapping[str, Any], things: int) -> None:
 
 
 class LanguageControl(SkillControl):
-    """Control by skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
+    """Control by skills, with which people can also handle a thing by a ``wait`` with it as the target.
+
+    The thing must be in the person's hand or near them.
+    """
 
     def team(self, play: Any) -> Household:
         """Return agents who choose where things go."""
@@ -193,7 +197,7 @@ def why_not(play: Any, number: int, thing: int) -> str | None:
 
 
 class LanguageHousehold(Household):
-    """Agents who can also put things at other places than the goals of the task."""
+    """Agents who can also put things at places other than the goals of the task."""
 
     def aim(self, number: int, action: Action) -> str:
         """Assign a free spot at a destination to a thing as its goal, and record an event."""
@@ -209,9 +213,9 @@ class LanguageHousehold(Household):
         return ""
 
     def spot_for(self, k: int, to: Destination) -> tuple[NDArray[np.floating], str] | str:
-        """Return a free spot [3] for thing ``k`` and its receptacle, or the reason why there is none.
+        """Return a free spot [3] [m] for thing ``k`` and its receptacle, or the reason why there is none.
 
-        It follows from the episode's seed, the step and where things are now.
+        The spot depends on the episode's seed, the step and the current positions of things.
 
         Raises:
             InputError: there is no such furniture, room or thing.
@@ -264,7 +268,7 @@ def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Act
     """Return the choice of another place for a thing; it takes no time. ``nav_to_goal`` and ``place`` then go there.
 
     Args:
-        things: Names of the things of the task, as `Objects.names` has them.
+        things: Names of the things of the task, as in `Objects.names`.
         thing: Name of the thing.
         place: Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture, ``floor of
             NAME`` for the floor of a room.
@@ -308,7 +312,7 @@ class Language(Rearrange):
         return task.starts, {"targets": task.targets, "wording": task.instruction, "extra": task.extra}
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Return the maker of an expert, or of a policy that stands still; None for other names."""
+        """Return the maker of an expert, or of a policy that stands still, or None for other names."""
         del spec
         if name not in EXPERTS:
             return None
@@ -320,7 +324,7 @@ class Language(Rearrange):
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
-        """Remember states, the rows in which something changed, and how far each thing has been handled."""
+        """Store states, the rows in which something changed, and the progress of handling each thing."""
         extra = play.episode.extra
         play.memory = {
             "evaluation": Evaluation.of(extra),
@@ -334,7 +338,7 @@ class Language(Rearrange):
         }
 
     def judge(self, play: Any) -> StepOutcome:
-        """Reward each share of the task that is completed for the first time; the episode ends with all of it."""
+        """Reward each share of the task that is completed for the first time; completion ends the episode."""
         memory, state, events = play.memory, play.world.state, []
         self._handle(play, events)
         held, at_goal = state.held_by[0] != NOBODY, play.team.at_goal.copy()

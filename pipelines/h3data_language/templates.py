@@ -1,10 +1,10 @@
-"""Templates of tasks in words: their wordings, and their requirements as clauses.
+"""Templates of tasks in words, with their wordings, and their requirements as clauses.
 
-A clause is a line of words: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p`` (any
-two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``floor a`` (on the
-floor, of the room that ``in a r`` names), ``next a b``, ``near a,b,c`` (all together), ``clean a``, ``fill a``, ``pour a``,
-``power a``, and ``at b p``, which asks for nothing: b lies on p from the start. Slots a, b, c are things, p and q furniture,
-r and s rooms, u and v furniture with doors or drawers.
+A clause is a line of text: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p``
+(any two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``floor a`` (on
+the floor, of the room that ``in a r`` names), ``next a b``, ``near a,b,c`` (all together), ``clean a``, ``fill a``,
+``pour a``, ``power a``, and ``at b p``, which requires nothing (b lies on p from the start). Slots a, b, c are things,
+p and q furniture, r and s rooms, u and v furniture with doors or drawers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Template(NamedTuple):
     clauses: tuple[str, ...]
     wordings: tuple[str, ...]
     order: tuple[tuple[int, int], ...] = ()
-    """Pairs of clauses, the earlier first."""
+    """Pairs of clauses, with the earlier one first."""
     relation: str = ""
     """Relation of the first two clauses: ``same`` or ``different`` piece of furniture."""
     by_name: bool = False
@@ -222,9 +222,9 @@ WASHABLE = (
 FILLABLE = ("mug", "bowl", "bottle", "pot", "cup", "glass", "tumbler", "vase", "jug", "can", "bucket", "kettle")
 POWERED = ("phone", "laptop", "tablet", "radio", "lantern", "speaker", "camera", "clock", "lamp", "headphones", "mixer")
 AFFORDS = {"clean": WASHABLE, "fill": FILLABLE, "pour": FILLABLE, "power": POWERED}
-"""Ends of the names of the kinds of things on which each action is possible."""
+"""Suffixes of the names of kinds of things on which each action is possible."""
 
 
 def affords(category: str, verb: str) -> bool:
-    """Return whether things of a kind can be handled so: ``teacup`` can be washed."""
+    """Return whether an action is possible on things of a kind, e.g. whether a ``teacup`` can be washed."""
     return category.endswith(AFFORDS[verb])

@@ -27,7 +27,7 @@ _RADIUS_M, _HEIGHT_M = 0.25, 1.4
 
 
 def entry_of(recording: Recording, entries: Sequence[FileEntry]) -> FileEntry:
-    """Find the episode that an imported session played, by its id and scene.
+    """Find the episode that an imported session played, by the episode's id and scene.
 
     Raises:
         InputError: no episode matches, or the episode has no propositions.
@@ -52,17 +52,17 @@ def with_propositions(
 ) -> Recording:
     """Return an imported session with the propositions of its episode, so that the profile ``partnr`` evaluates it.
 
-    Things are held that an agent has grasped or a user holds. States of things that the log does not have are those of the
-    episode at its start.
+    Things count as held if an agent has grasped them or a user holds them. States that the log lacks are those at the
+    start of the episode.
 
     Args:
         recording: The session.
-        entry: Its episode, as of `entry_of`.
+        entry: Episode of the session, as `entry_of` returns it.
         folder: Folder of the episode file.
         assets: Folders below which the scene and the objects are searched.
 
     Raises:
-        InputError: propositions are malformed or name what is not there.
+        InputError: propositions are malformed, or name things that do not exist.
         SceneError: the scene is not found.
     """
     evaluation, files = Evaluation.of(entry.extra), episode_files()

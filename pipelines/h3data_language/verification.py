@@ -1,4 +1,4 @@
-"""Verification of tasks in words by playing them: a person alone, then a robot and a person, each with the expert."""
+"""Verification of tasks in words, played by a person alone and by a robot and a person, with the expert."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.runner import run
 
 TRIES = 20
-"""Largest number of consecutive episodes of a home that may fail to be a task."""
+"""Largest number of consecutive episodes of a home that are not suitable as tasks."""
 
 
 class PlayedTask(NamedTuple):
@@ -43,7 +43,7 @@ class PlayedTask(NamedTuple):
 
 
 def play_task(task: Any, episode: Any, policy: str = "language_expert") -> PlayedTask:
-    """Play an episode to its end, all of its agents with the policy of a name."""
+    """Play an episode to its end, with a named policy for all of its agents."""
     kinds = kinds_of(episode.roster)
     policies = [resolve_policy(task, kind, policy)(episode, number) for number, kind in enumerate(kinds)]
     rollout = WorldRollout.of(task, episode, policies)
@@ -64,18 +64,18 @@ class TaskHome(NamedTuple):
     """Identifier of the home in its set, or its name."""
     source: SceneSource
     numbers: tuple[int, ...]
-    """Numbers of the home's tasks in the run."""
+    """Numbers of the home's tasks among all tasks of the run."""
     place: int
-    """Number of the home among all homes of the run."""
+    """Index of the home among all homes of the run."""
     homes: int
     """Number of homes of the run."""
     seed_of: Callable[[int], int]
-    """Seed of each of its episodes, by their index in the home."""
+    """Function that returns the seed of an episode by its index in the home."""
     skipped: tuple[int, ...] = ()
-    """Indexes of episodes that the set already skips."""
+    """Indices of episodes that the set already skips."""
 
     def candidate(self, index: int) -> TaskCandidate:
-        """Return the episode of an index."""
+        """Return the episode with a given index."""
         base = Job(
             index * self.homes + self.place,
             self.seed_of(index),
@@ -89,7 +89,7 @@ class TaskHome(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskCandidate:
-    """One episode of a home, which may be a task."""
+    """Episode of a home that may become a task."""
 
     base: Job
     index: int
@@ -101,7 +101,7 @@ class TaskCandidate:
 
 
 class SkippedTask(NamedTuple):
-    """Episode that is not a task."""
+    """Episode that was rejected as a task."""
 
     home: str
     episode: int
@@ -110,11 +110,11 @@ class SkippedTask(NamedTuple):
 
 
 class VerifiedTask(NamedTuple):
-    """One task that has been played."""
+    """Task that has been played."""
 
     number: int
     uid: str
-    """Identity of the episode, whoever plays it."""
+    """Identity of the episode, regardless of who plays it."""
     kind: str
     instruction: str
     alone: PlayedTask
@@ -122,7 +122,7 @@ class VerifiedTask(NamedTuple):
 
 
 class Verification(NamedTuple):
-    """Tasks of some homes, and the episodes that are not tasks."""
+    """Result of verifying the tasks of some homes, and the rejected episodes."""
 
     tasks: list[VerifiedTask]
     skipped: list[SkippedTask]
@@ -162,7 +162,7 @@ def _seed_in_turn(seed: int, place: int, homes: int, index: int) -> int:
 
 
 def verify_candidate(folder: Path, candidate: TaskCandidate) -> dict[str, Any]:
-    """Sample and play one episode, and write the result to its file in a folder: the process that waits for it may end."""
+    """Sample and play one episode, and write the result to its file in a folder, where it survives the process."""
     task, base = Language(), candidate.base
     result: dict[str, Any] = {"job": candidate.to_json(), "failed": "", "reason": ""}
     try:
@@ -279,15 +279,15 @@ def _tasks_of(
 
 
 def digest_of(tasks: Sequence[VerifiedTask]) -> str:
-    """Return the SHA-256 of the identities of some tasks in the order of their numbers."""
+    """Return the SHA-256 of the identities of tasks in the order of their numbers."""
     return hashlib.sha256("\n".join(t.uid for t in sorted(tasks)).encode()).hexdigest()
 
 
 def rows_of_kinds(tasks: Sequence[VerifiedTask]) -> list[list[str]]:
-    """Return the cells of a table of verified tasks, its head first: a row per type of task, and one for all.
+    """Return the cells of a table of verified tasks: a heading, a row for each type of task, and one for all tasks.
 
-    The last two are the steps of the person alone over those of robot and person, and the 95% interval of this ratio of means,
-    by resampling of tasks.
+    The last two columns are the ratio of the mean steps of the person alone to those of robot and person, and its 95%
+    interval by resampling of tasks.
     """
     rows = [["type", "tasks", "steps alone", "steps of both", "faster", "95% interval"]]
     kinds = dict.fromkeys(task.kind for task in tasks)
@@ -304,7 +304,7 @@ def rows_of_kinds(tasks: Sequence[VerifiedTask]) -> list[list[str]]:
 def skip_table(homes: Sequence[TaskHome], skipped: Sequence[SkippedTask]) -> str:
     """Return the table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none.
 
-    It has what the set skips already, too, so that it can take the place of the set's.
+    The table includes the episodes that the set already skips, so that it can replace the set's table.
     """
     indexes = {
         home.name: sorted({*home.skipped, *(s.episode for s in skipped if s.home == home.name)}) for home in homes

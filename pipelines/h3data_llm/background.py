@@ -1,4 +1,4 @@
-"""Language model in a live game: a thread waits for its answers while the game continues."""
+"""Language model in a live game, where a thread waits for the model's answers while the game continues."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from h3data_llm.endpoint import Endpoint, LanguageModelError, Reply
 from sim_kinematic.agents.skills import SkillResult
 
 RETRY_S = 5.0
-"""Time after which a language model that failed is asked again [s]."""
+"""Time after a failed request until the language model is asked again [s]."""
 
 
 class Thinking(Exception):
-    """Exception: the answer to a request has not arrived yet."""
+    """Exception for a request whose answer has not arrived yet."""
 
 
 class PatientEndpoint:
-    """Endpoint that never waits: a request is repeated until its answer has arrived."""
+    """Endpoint that never blocks; a request is repeated until its answer has arrived."""
 
     def __init__(self, endpoint: Endpoint) -> None:
-        """Ask nothing yet."""
+        """Create an endpoint without sending a request."""
         self._endpoint = endpoint
         self._answers: SimpleQueue[Reply | LanguageModelError] = SimpleQueue()
         self._is_asked = False
@@ -32,7 +32,7 @@ class PatientEndpoint:
         """Return the answer to the body of a request.
 
         Raises:
-            Thinking: it has not come yet.
+            Thinking: the answer has not arrived yet.
             LanguageModelError: the endpoint fails.
         """
         if not self._is_asked:
@@ -58,7 +58,10 @@ class PatientEndpoint:
 
 
 class BackgroundModel:
-    """Policy of a language model in a live game. While it thinks, its action continues; an idle robot stands."""
+    """Policy of a language model in a live game, where the current action continues during the model's computation.
+
+    A robot without an action stands still.
+    """
 
     def __init__(self, policy: Any) -> None:
         """Take over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
@@ -71,7 +74,10 @@ class BackgroundModel:
         self._retry_at, self.faults = 0.0, list[str]()
 
     def command(self, view: RearrangeView) -> Action | None:
-        """Return the choice for the next step; None: the action continues, or nothing is decided yet. Never waits."""
+        """Return the choice for the next step without waiting.
+
+        None means that the current action continues, or that nothing is decided yet.
+        """
         if self._view is None:
             last = self._ended
             if self._action is not None and last is None:
@@ -97,15 +103,15 @@ class BackgroundModel:
         return action
 
     def after(self, spans: list[Any]) -> None:
-        """Handle the skills of this agent that have ended in a step; a new choice has interrupted some of them."""
+        """Handle the agent's skills that have ended in a step, some of them because a new choice interrupted them."""
         own = [span for span in spans if span.reason != "commanded"]
         if self._action is not None and self._ended is None and own and own[0].name == self._action.skill:
             self._ended = SkillResult(own[0].outcome, own[0].reason)
 
     def recorded_info(self) -> dict[str, Any]:
-        """Return the recorded facts of the policy, with the faults of the endpoint."""
+        """Return the recorded facts of the policy, with the errors of the endpoint."""
         (found,) = self._policy.recorded_info()["llm"]
         return {"llm": [{**found, **({"faults": self.faults} if self.faults else {})}]}
 
     def close(self) -> None:
-        """Do nothing: a thread that waits for an answer ends with it."""
+        """Do nothing, because a thread that waits for an answer ends when the answer arrives."""

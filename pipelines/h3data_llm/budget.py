@@ -1,4 +1,4 @@
-"""Budget of a whole job, shared by all of its processes and by jobs that name the same file.
+"""Budget of tokens and calls of a whole job, shared by all of its processes and by jobs that name the same file.
 
 The user writes a TOML file with ``tokens``, ``calls`` or both, and names it in the address of the model. Each answer adds a
 line with its tokens to the file of the same name that ends in ``.spent``. Appending a short line is one write, so that no
@@ -21,7 +21,7 @@ _AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class BudgetSpentError(LanguageModelError, JobStopError):
-    """Error about a job whose budget is used up: there are no more requests, and no further episode begins."""
+    """Error of a job whose budget is used up; it sends no more requests and starts no more episodes."""
 
 
 class _Limits(msgspec.Struct, forbid_unknown_fields=True):
@@ -30,10 +30,10 @@ class _Limits(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class JobBudget:
-    """Limits of a job, and the part of them that is used up."""
+    """Limits of a job on tokens and calls, and the amounts that have been used."""
 
     def __init__(self, name: str) -> None:
-        """Read the limits.
+        """Read the limits from a budget file.
 
         Args:
             name: Path of the file.
@@ -59,10 +59,10 @@ class JobBudget:
             raise InputError(f"The budget {name[:200]} has neither tokens nor calls.", code="H3-LLM-031")
 
     def spent(self) -> dict[str, int]:
-        """Return the tokens and calls so far.
+        """Return the tokens and calls that have been used so far.
 
         Raises:
-            InputError: the file beside the budget holds anything else.
+            InputError: the ``.spent`` file of the budget is malformed.
         """
         text = self.spent_file.read_text("ascii", "replace") if self.spent_file.is_file() else ""
         if re.fullmatch(r"(\d{1,18}\n)*", text) is None:

@@ -18,16 +18,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LlmShow:
-    """Show every answer of the language models in recordings: step, call or text, and the reason if it meant nothing.
+    """Show each answer of language models in recordings, with step, call or text, and the reason if it was invalid.
 
-    Below them are the sums: answers, tokens and time. h3data metrics ds --profile llm has them by episode, with means.
+    The last lines are the totals of answers, tokens and time. h3data metrics ds --profile llm gives them for each
+    episode, with means.
 
     Examples:
         h3data llm show ds#0
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, datasets, single episodes (ds#3)."""
+    """Recordings to read: .mcap files, datasets or single episodes (ds#3)."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -63,17 +64,17 @@ def _told(use: ModelUse) -> str:
 
 @dataclass(frozen=True)
 class LlmAgain:
-    """Carry out the recorded answers of language models again, with the present prompts and parser and without an endpoint.
+    """Carry out the recorded answers of language models again with the current prompts and parser, without an endpoint.
 
-    Says whether the requests would be the same today, whether the answers mean the same, and from which step on the
-    episode differs. The exit code is 1 if anything does.
+    The table shows whether the requests would be the same today, whether the answers have the same meaning, and the
+    first step at which the episode differs. The exit code is 1 if anything differs.
 
     Examples:
         h3data llm again ds#0
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, datasets, single episodes (ds#3)."""
+    """Recordings to read: .mcap files, datasets or single episodes (ds#3)."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:

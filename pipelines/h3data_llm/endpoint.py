@@ -1,4 +1,4 @@
-"""Chat endpoints: their addresses with options, and requests that are answered in time or fail with one sentence."""
+"""Chat endpoints with their addresses and options, and requests that are answered in time or fail clearly."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _EXAMPLE = "llm:http://127.0.0.1:8000/v1?model=NAME"
 
 
 class LanguageModelError(H3DataError):
-    """Error of a chat endpoint: it does not answer in time, its answers are meaningless, or its budget is used up."""
+    """Error of a chat endpoint that does not answer in time, gives invalid answers, or has no budget left."""
 
 
 class Address(NamedTuple):
@@ -39,23 +39,25 @@ class Address(NamedTuple):
     mode: str = "tools"
     """Form of answers: ``tools``: tool calls; ``text``: a last line ``Action: NAME[ARGUMENTS]``."""
     plans: int = 50
-    """Largest number of decisions in an episode; then the agent waits."""
+    """Largest number of decisions in an episode; after that, the agent waits."""
     calls: int = 200
-    """Largest number of requests in an episode; one more ends it."""
+    """Largest number of requests in an episode; a further request ends the episode."""
     tokens: int = 1_000_000
-    """Largest number of tokens in an episode, in and out, as the endpoint counts them; more end it."""
+    """Largest number of input and output tokens in an episode, as the endpoint counts them; exceeding it ends the
+    episode.
+    """
     timeout: int = 60
-    """Longest time for one answer [s]."""
+    """Longest time to wait for one answer [s]."""
     retries: int = 2
-    """Number of further attempts if the endpoint is gone, late or busy."""
+    """Number of further attempts if the endpoint cannot be reached, times out or is busy."""
     history: int = 10
-    """Number of earlier decisions in a request."""
+    """Number of earlier decisions that a request includes."""
     budget: str = ""
     """File with the budget of the whole job (`h3data_llm.budget`); empty: no budget."""
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Return the address in a text.
+        """Parse an address from text.
 
         Raises:
             InputError: the text is not an address, or contains a user, a password or a key, or an option is out of range.
@@ -113,7 +115,7 @@ class Reply(NamedTuple):
     """An answer of a chat endpoint."""
 
     message: Mapping[str, Any]
-    """Members ``content`` and ``tool_calls`` of the first choice; empty if there is none."""
+    """Members ``content`` and ``tool_calls`` of the first choice; empty if the answer has no choice."""
     model: str = ""
     """Name of the model as the endpoint states it."""
     tokens: tuple[int, int] = (0, 0)
@@ -136,7 +138,7 @@ class HttpEndpoint:
     """Chat endpoint over HTTP, with a connection of its own for each request."""
 
     def __init__(self, address: Address) -> None:
-        """Read the key.
+        """Create an endpoint and read its key from the environment.
 
         Args:
             address: Address of the endpoint.
@@ -155,7 +157,7 @@ class HttpEndpoint:
         """Check that a server listens at the address.
 
         Raises:
-            LanguageModelError: nobody does.
+            LanguageModelError: no server listens there.
         """
         parts = self.address.parts
         port = parts.port or (443 if parts.scheme == "https" else 80)
@@ -165,10 +167,10 @@ class HttpEndpoint:
             raise self._absent(fault) from None
 
     def ask(self, body: bytes) -> Reply:
-        """Return the answer to the body of a request, after further attempts if need be.
+        """Return the answer to the body of a request, with further attempts if an attempt fails.
 
         Raises:
-            LanguageModelError: the endpoint is gone or late, or answers with something that is no chat.
+            LanguageModelError: the endpoint cannot be reached or times out, or its answer is not a chat completion.
         """
         for attempt in range(self.address.retries + 1):
             last = attempt == self.address.retries
@@ -249,10 +251,10 @@ class HttpEndpoint:
 
 
 def reply_of(answer: Any, url: str) -> Reply:
-    """Return the first choice of an answer in the form of OpenAI's chats.
+    """Return the first choice of an answer in the format of OpenAI's chat completions.
 
     Raises:
-        LanguageModelError: it has another form.
+        LanguageModelError: the answer has a different format.
     """
     choices = answer.get("choices") if isinstance(answer, dict) else None
     if not isinstance(choices, list):

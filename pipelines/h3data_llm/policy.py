@@ -1,4 +1,4 @@
-"""Policy of an agent whose work a language model chooses."""
+"""Policy of an agent whose tasks are chosen by a language model."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from h3data_llm.world_text import WorldText
 from sim_kinematic.motion.state import NOBODY
 
 FAULTS = 3
-"""Number of consecutive meaningless answers after which an episode ends."""
+"""Number of consecutive invalid answers after which an episode ends."""
 MOST_ANSWER_TOKENS = 600
-"""Number of tokens that an answer may have."""
+"""Largest number of tokens of an answer."""
 RULES = (
     "You decide what {name}, a {kind}, does in a home, together with {others}, so that this is done: {instruction}\n"
     "Choose one tool at a time. Each is carried out before you are asked again, and you are told how it ended. "
@@ -43,7 +43,7 @@ class Decision(NamedTuple):
     request: str
     """First 16 digits of the SHA-256 of the body of the request."""
     reply: dict[str, Any]
-    """Text of the answer, and its first tool call."""
+    """Text of the answer and its first tool call."""
     tokens: tuple[int, int]
     """Tokens of request and answer, as the endpoint counts them."""
     ms: float
@@ -51,21 +51,21 @@ class Decision(NamedTuple):
     model: str
     """Name of the model as the endpoint states it."""
     result: str = ""
-    """Reason why the answer is meaningless; empty if it was carried out."""
+    """Reason why the answer is invalid; empty if it was carried out."""
 
 
 def language_model(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
-    """Return the maker of the policy of a language model: the entry point ``llm``.
+    """Return the factory of the policy of a language model, which is the entry point ``llm``.
 
     Args:
         address: Address of the endpoint, as read by `Address.of`.
         task: Task that is played.
         kind: Kind of the agent.
-        spec: Its rules, where a job is checked before it begins: then somebody must listen at the address.
+        spec: Rules of the task if a job is checked before it starts; a server must then listen at the address.
 
     Raises:
         InputError: the address is invalid, agents have no skills in the task, or the budget file has no budget.
-        LanguageModelError: nobody answers.
+        LanguageModelError: no server answers.
     """
     if not task.control.has_skills:
         raise InputError(
@@ -88,15 +88,15 @@ def language_model(address: str, task: Any, kind: str, spec: Any = None) -> Poli
 
 
 class LanguageModelPolicy:
-    """Policy that asks a language model for an agent's next piece of work whenever the last one has ended."""
+    """Policy that asks a language model for an agent's next task whenever the previous one has ended."""
 
     is_remote = True
-    """Constant True: a replay repeats the recorded decisions without asking the language model."""
+    """Constant True, because a replay repeats the recorded decisions without asking the language model."""
     interrupts_every = 3
-    """Number of steps between two checks for a reason to stop."""
+    """Number of steps between two checks whether the current action should stop."""
 
     def __init__(self, where: Address, endpoint: Endpoint, task: Any, episode: Any, number: int) -> None:
-        """Prepare for an episode; nothing is asked yet.
+        """Prepare for an episode without sending a request.
 
         Args:
             where: Address with its options.
@@ -146,11 +146,11 @@ class LanguageModelPolicy:
 
     # --- decisions ----------------------------------------------------------------------------------------------------
     def act(self, view: RearrangeView) -> Action:
-        """Return the next skill of the present work, or of the work that the language model chooses now.
+        """Return the next skill of the current task, or of a new task that the language model chooses now.
 
         Raises:
-            LanguageModelError: the endpoint fails, `FAULTS` answers in a row mean nothing, or a budget is used up; if it is
-                that of the job, a `h3data_llm.budget.BudgetSpentError`.
+            LanguageModelError: the endpoint fails, `FAULTS` consecutive answers are invalid, or a budget is used up
+                (`h3data_llm.budget.BudgetSpentError` for that of the job).
         """
         result = ""
         while True:
@@ -167,7 +167,11 @@ class LanguageModelPolicy:
             return action
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Return the reason to stop: a message while waiting, a thing found in a search, or one that somebody else took."""
+        """Return the reason to stop the current action.
+
+        Reasons are a message that arrives while waiting, a thing found in a search, or a thing that another agent has
+        taken.
+        """
         action, reason = view.action, self._worker.reason
         if reason == "message" and self._worker.heard(view) > self._heard:
             return "message"
@@ -256,7 +260,7 @@ class LanguageModelPolicy:
         )
 
     def in_background(self) -> BackgroundModel:
-        """Return the policy for live games, which do not wait for an answer."""
+        """Return the policy for live games, which never wait for an answer."""
         self._endpoint = PatientEndpoint(self._endpoint)
         return BackgroundModel(self)
 

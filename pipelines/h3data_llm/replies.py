@@ -1,4 +1,4 @@
-"""Recorded answers of language models: listed, and carried out again with the present prompts and parser."""
+"""Listing of the recorded answers of language models, and their execution again with the current prompts and parser."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def _record(kind: Any, told: Any) -> Any:
 
 
 class RecordedEndpoint:
-    """Endpoint that gives the recorded answers, one after the other."""
+    """Endpoint that gives the recorded answers, in order."""
 
     def __init__(self, decisions: tuple[Decision, ...]) -> None:
-        """Begin with the first answer."""
+        """Start with the first recorded answer."""
         self._left = list(decisions)
 
     def ask(self, body: bytes) -> Reply:
@@ -83,24 +83,26 @@ class RecordedEndpoint:
 
 
 class Replayed(NamedTuple):
-    """Comparison of recorded answers with their present meaning."""
+    """Comparison of recorded answers with their meaning to the current parser."""
 
     model: RecordedModel
     request: int
-    """Number of the first request that differs today; -1: none."""
+    """Number of the first request that differs today; -1 if none differs."""
     meaning: int
-    """Number of the first answer that is understood today and was not then, or the other way round; -1: none."""
+    """Number of the first answer that is valid today and was invalid when recorded, or the reverse; -1 if there is
+    none.
+    """
     step: int
-    """First step that differs; -1: none does."""
+    """First step at which the episode differs; -1 if none differs."""
     fault: str = ""
     """Reason, as a sentence, why the episode could not be played to its end."""
 
 
 def played_again(recording: Recording) -> list[Replayed]:
-    """Carry out the recorded answers with the present prompts and parser, without an endpoint; other agents decide anew.
+    """Carry out recorded answers with the current prompts and parser, without an endpoint; other agents decide again.
 
     Raises:
-        InputError: no language model has played, or the recording cannot be simulated again.
+        InputError: no language model took part, or the recording cannot be simulated again.
     """
     models, task = models_in(recording), task_of(recording)
     file = recording.attachments.get("scene.glb")

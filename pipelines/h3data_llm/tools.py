@@ -1,4 +1,4 @@
-"""Tools with which a language model chooses its agent's actions: their schemas, and calls in answers of the model."""
+"""Tools with which a language model chooses its agent's actions, with their schemas and the parsing of calls."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Tool(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A tool with checked arguments."""
+    """Call of a tool with checked arguments."""
 
     tool: str
     arguments: Mapping[str, Any]
@@ -51,7 +51,7 @@ class Call(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names that arguments of tools may have."""
+    """Names that may be arguments of tools."""
 
     things: tuple[str, ...]
     places: tuple[str, ...] = ()
@@ -63,7 +63,7 @@ class Names(NamedTuple):
     """The other agents."""
 
     def of(self, kind: str) -> tuple[str, ...]:
-        """Return the names for a kind of parameter; none for kinds without names."""
+        """Return the names that are valid for a kind of parameter; empty for kinds without names."""
         known = {
             "thing": self.things,
             "place": self.places,
@@ -77,7 +77,7 @@ class Names(NamedTuple):
 
 
 PREFIXES = {"inside": INSIDE, "floor": FLOOR}
-"""Beginnings of names of places, by words for them in calls."""
+"""Prefixes of names of places, by the words for them in calls."""
 _THING = Parameter("thing", "thing", "name of the thing")
 _WHERE = (
     Parameter("place", "place", "name of the furniture or room"),
@@ -90,7 +90,7 @@ def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> t
     """Return the tools of an agent.
 
     Args:
-        names: Names of what is there.
+        names: Names in the home.
         places: True if the agent chooses where things go; otherwise each thing has one goal.
         handles: True if the agent can clean, fill, pour out and switch on things.
         searches: True if the agent knows only what it has seen.
@@ -129,7 +129,10 @@ def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> t
 
 
 def schemas_of(tools: Sequence[Tool], names: Names) -> list[dict[str, Any]]:
-    """Return the tools in the form in which chats take them; names of furniture are left to the text about the home."""
+    """Return the tools in the JSON format of chat requests, without the names of furniture.
+
+    These names appear only in the text about the home.
+    """
     return [
         {
             "type": "function",
@@ -166,16 +169,17 @@ def lines_of(tools: Sequence[Tool]) -> str:
 
 # --- answers ----------------------------------------------------------------------------------------------------------
 def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode: str) -> Call:
-    """Return the first call in an answer.
+    """Return the first tool call in an answer.
 
     Args:
-        message: Message of the model, cut to size (`kept`).
+        message: Message of the model, cut to size by `kept`.
         tools: The agent's tools.
         names: Names that arguments may have.
         mode: ``tools`` or ``text``.
 
     Raises:
-        LanguageModelError: the answer has no call, or the tool or an argument is wrong; the message is meant for the model too.
+        LanguageModelError: the answer has no call, or the tool or an argument is wrong; the error message is also meant
+            for the model.
     """
     content, calls = message.get("content"), message.get("tool_calls")
     if mode == "text":
@@ -201,7 +205,10 @@ def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode
 
 
 def kept(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a message that are used and recorded: its text, cut to `MOST_CONTENT`, and its first tool call."""
+    """Return the parts of a message that are used and recorded.
+
+    They are its text, cut to `MOST_CONTENT` characters, and its first tool call.
+    """
     content = message.get("content")
     found: dict[str, Any] = {"content": _clean(content)[:MOST_CONTENT] if isinstance(content, str) else ""}
     calls = message.get("tool_calls")

@@ -1,6 +1,6 @@
-"""Cost of language models: requests, tokens and waiting time of an episode, from the recorded answers alone.
+"""Cost of language models in an episode (requests, tokens and waiting time), computed from the recorded answers alone.
 
-The profile ``llm`` measures any recording that a language model has played: ``h3data metrics ds --profile llm``.
+The profile ``llm`` measures any recording in which a language model took part: ``h3data metrics ds --profile llm``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ANSWERS = "info:llm"
 
 
 class ModelUse(NamedTuple):
-    """Cost of some answers of language models."""
+    """Cost of a list of answers of language models."""
 
     calls: int
     """Number of answers."""
@@ -33,7 +33,7 @@ class ModelUse(NamedTuple):
     tokens_out: int
     """Number of tokens of the answers alone."""
     seconds: float
-    """Time that the answers took, one after the other [s]."""
+    """Sum of the times that the answers took [s]."""
 
     @classmethod
     def of(cls, decisions: Iterable[Decision]) -> ModelUse:
@@ -74,10 +74,10 @@ LLM_METRICS = (
 
 
 def compute_use(recording: Recording, notes: Notes) -> Computed:
-    """Compute the metrics of the profile.
+    """Compute the metrics of the profile ``llm``.
 
     Raises:
-        MissingColumnsError: no language model has played.
+        MissingColumnsError: no language model took part.
         UnmeasurableError: the recorded answers are malformed.
     """
     note_missing(LLM_METRICS, recording, notes)

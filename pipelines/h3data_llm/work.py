@@ -1,6 +1,6 @@
-"""Execution of a tool's call: skills, one after the other, and a sentence about the result.
+"""Execution of tool calls as sequences of skills, each with a sentence about the result.
 
-Each piece is a generator: it yields an `Action`, is sent the view after it, and returns the sentence.
+Each task is a generator that yields an `Action`, receives the next view by ``send``, and returns the sentence.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from sim_kinematic.policies.rearrange import errand
 
 Work = Generator[Action, RearrangeView, str]
 TRIES = 3
-"""Number of failures after which a piece of work is given up."""
+"""Number of failures after which a task is given up."""
 SPOTS = 5
 """Number of attempts to find a free spot at a place."""
 LONG = 300
-"""Number of steps of one ``wait`` of an agent without work."""
+"""Duration of one ``wait`` of an agent without a task [steps]."""
 
 
 class Worker:
@@ -39,7 +39,7 @@ class Worker:
         Args:
             text: Names and texts of the home.
             number: Number of the agent.
-            uses: State and value that handling each thing leads to in the task.
+            uses: State and value that each thing has after it is handled, by thing.
         """
         self._text, self._number, self._uses = text, number, uses
         self.handled: set[str] = set()
@@ -48,7 +48,7 @@ class Worker:
         """Reason to interrupt the present work as soon as it applies: ``message``, ``found`` or empty."""
 
     def begin(self, call: Call, view: RearrangeView) -> Work:
-        """Return the work of a call."""
+        """Return the generator that carries out a call."""
         self.reason = ""
         given = call.arguments
         thing = self._text.names.things.index(given["thing"]) if "thing" in given else -1
@@ -204,7 +204,7 @@ class Worker:
         return "Somebody has said something." if self.heard(view) > heard else "You have waited."
 
     def rest(self, view: RearrangeView, *, for_good: bool = False) -> Work:
-        """Wait until another agent sends a message, or ``for_good``."""
+        """Wait until another agent sends a message, or until the episode ends if ``for_good``."""
         heard, steps = self.heard(view), LONG
         while for_good or self.heard(view) <= heard:
             self.reason = "" if for_good else "message"
@@ -214,11 +214,11 @@ class Worker:
 
     # --- what has happened --------------------------------------------------------------------------------------------
     def heard(self, view: RearrangeView) -> int:
-        """Return the number of messages of others so far."""
+        """Return the number of messages that other agents have sent so far."""
         return sum(event.agent != self._number for event in view.messages)
 
     def known(self, view: RearrangeView) -> int:
-        """Return the number of things whose place the agent knows."""
+        """Return the number of things whose position the agent knows."""
         return sum(view.is_known(k) for k in range(len(view.objects)))
 
     def _held(self, view: RearrangeView) -> int:

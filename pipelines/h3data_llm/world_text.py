@@ -1,4 +1,4 @@
-"""The home and its present state as text for a language model."""
+"""Text descriptions of the home and its current state for a language model."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sim_kinematic.motion.state import NOBODY
 MESSAGES = 8
 """Number of the latest messages in a request to a language model."""
 OVER_M = 0.05
-"""Largest distance of a thing's origin below a surface on which it lies [m]."""
+"""Largest distance below a surface of the origin of a thing that lies on it [m]."""
 
 
 class WorldText:
-    """Names of what is in the home of an episode, and texts about it."""
+    """Names in the home of an episode, and texts about the home."""
 
     def __init__(self, episode: Any, number: int, *, places: bool) -> None:
         """Describe a home for one agent.
@@ -46,7 +46,7 @@ class WorldText:
         self._furniture = furniture
 
     def home(self) -> str:
-        """Return rooms with their furniture, doors and drawers; it does not change."""
+        """Return a text about rooms with furniture, doors and drawers, which does not change during an episode."""
         lines = ["The home, room by room, with furniture on which things can be put:"]
         opens: dict[str, list[str]] = {}
         for joint in self.names.openings:
@@ -63,7 +63,7 @@ class WorldText:
         return "\n".join(lines)
 
     def state(self, view: RearrangeView, notes: Iterable[str] = ()) -> str:
-        """Return everything that the agent knows now, with ``notes`` of its own."""
+        """Return a text about everything that the agent knows now, including its own ``notes``."""
         held = [name for name, by in zip(self.names.things, view.held_by, strict=True) if by == self._number]
         room = self._room_of((view.xz[0], 0.0, view.xz[1]))
         hand = f"holds {held[0]}" if held else "is empty"
@@ -81,13 +81,16 @@ class WorldText:
         return "\n".join([*lines, *(["Said so far:", *said] if said else []), *notes])
 
     def place_of(self, point: Any) -> str:
-        """Return words for the place of a point [3] of the world: on or inside furniture, and the room."""
+        """Return words for the place of a world point [3] [m]: the furniture that it is on or in, and the room."""
         (on, inside), room = self.surface_of(point), self._room_of(point)
         where = f"{'inside' if inside else 'on'} {on}" if on else "on the floor"
         return f"{where}, in {room}" if room else where
 
     def surface_of(self, point: Any) -> tuple[str, bool]:
-        """Return the furniture on which a world point [3] lies ("" for none), and if it is behind a door or in a drawer."""
+        """Return the furniture on which a world point [3] [m] lies ("" for none), and whether it is in a closed space.
+
+        Closed spaces are those behind a door or in a drawer.
+        """
         x, y, z = (float(value) for value in point)
         best, found = np.inf, ("", False)
         for name, box in self._layout.furniture.items():
@@ -124,12 +127,12 @@ class WorldText:
         return next((r for r, parts in rooms if any(a <= x <= c and b <= z <= d for a, b, c, d in parts)), "")
 
     def is_in(self, point: Any, room: str) -> bool:
-        """Return whether a point [3] of the world is in a room."""
+        """Return whether a world point [3] [m] is in a room."""
         return self._room_of(point) == room
 
 
 def line_of(event: Event, names: list[str]) -> str:
-    """Return a message as a line: its sender and its text."""
+    """Return a message as one line with its sender and its text."""
     return f"{names[event.agent] if 0 <= event.agent < len(names) else '?'}: {event.detail}"
 
 

@@ -1,6 +1,6 @@
-"""Jobs from Python: ``h3data.generate``, ``h3data.evaluate``, and others. Results come back as objects instead of text.
+"""Python functions that run jobs, such as ``h3data.generate`` and ``h3data.evaluate``, and return objects.
 
-Each is imported at first use, from the module of its command.
+Each function is imported at first use, from the module of its command.
 """
 
 from __future__ import annotations

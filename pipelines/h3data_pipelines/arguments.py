@@ -1,6 +1,6 @@
 """Types of the arguments of `h3data.generate` and the other jobs: names, paths, or the objects themselves.
 
-A `Robot`, the class of a policy or of a task stand for their names.
+A `Robot` object, a policy class or a task class can be given in place of its name.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Command line ``h3data``. Exit codes: 0 done, 1 done with failures, 2 refused (bad input), 130 interrupted."""
+"""Command line ``h3data``, with exit codes 0 (done), 1 (failures), 2 (invalid input) and 130 (interrupted)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ABOUT = """Simulate people and robots sharing a home, record everything, and ren
 
 
 def jsonable(value: Any) -> Any:
-    """Return the value as JSON can hold it: NaN and infinities become null, NumPy scalars plain numbers."""
+    """Return a value as JSON types: NaN and infinities become null, and NumPy scalars become plain numbers."""
     if isinstance(value, dict):
         return {str(k): jsonable(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -140,7 +140,7 @@ def _close_stdout() -> None:
 
 
 def entry() -> None:
-    """Run the command line and exit: the console entry point."""
+    """Run the command line and exit the process, as the console entry point."""
     for number in (signal.SIGTERM, signal.SIGHUP):  # ended from outside, or the terminal closed: as after Ctrl-C
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks to go on
             signal.signal(number, signal.default_int_handler)

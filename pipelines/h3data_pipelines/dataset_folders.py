@@ -1,4 +1,4 @@
-"""Safety of dataset folders: their contents, their removal, and writes that end before an interruption."""
+"""Safe handling of dataset folders: their contents, their removal, and writes that finish before an interruption."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.terminal import counted
 
 
 def unfinished_dataset(root: AnyPath) -> str:
-    """Describe the dataset in a folder for `claim_folder`; empty if there is none."""
+    """Describe the dataset in a folder for `claim_folder`; empty if the folder has none."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import is_begun
 
@@ -31,7 +31,10 @@ _PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
 
 
 def remove_dataset(root: AnyPath) -> None:
-    """Delete the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
+    """Delete the dataset in a folder.
+
+    If the folder holds anything else, nothing is deleted and an `InputError` is raised.
+    """
     from h3data.recording.parquet.files import is_begun
 
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
@@ -58,7 +61,7 @@ def remove_dataset(root: AnyPath) -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
+    """Delay Ctrl-C, SIGTERM and SIGHUP until the end of the block, so that a write in progress is finished first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

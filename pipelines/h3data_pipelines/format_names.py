@@ -1,4 +1,4 @@
-"""Names of file formats in commands."""
+"""Names of file formats in the arguments of commands."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from h3data.formats import FORMATS, Format, export_options
 
 
 def import_suffixes() -> tuple[str, ...]:
-    """Return the endings of the files that `h3data import` collects from a folder."""
+    """Return the suffixes of the files that `h3data import` collects from a folder."""
     readable = (one for one in FORMATS.load_all().values() if one.read is not None)
     return tuple(dict.fromkeys(suffix for one in readable for suffix in one.suffixes))
 
 
 def export_format(name: str) -> Format:
-    """Return the format to export to, by its name or as ``module:name``.
+    """Return the export format with a name, or the format given as ``module:name``.
 
     Raises:
-        InputError: nothing can be exported to it.
-        PluginError: it comes from a plug-in that cannot be used.
+        InputError: there is no such export format.
+        PluginError: the format belongs to a plug-in that cannot be loaded.
     """
     key = name if ":" in name else name.replace("-", "_")
     if key in FORMATS.missing():

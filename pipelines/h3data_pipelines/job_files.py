@@ -1,4 +1,4 @@
-"""Options of a command in a TOML file, for ``--config``: a job that can be stored beside its results and run again."""
+"""Job files for ``--config``, which hold the options of a command as TOML, so that it can be run again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from h3data.errors import InputError, suggest
 
 
 def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
-    """Return the words of each option that a job file sets, by field, as if they had been given on the command line.
+    """Return the command-line words of each option that a job file sets, by field.
 
     Keys are the names of options and positional arguments, with dashes or underscores: ``episodes = 20``,
     ``cameras = ["robot_arm", "third_person"]``, ``task = "social_nav"``.

@@ -1,4 +1,4 @@
-"""Metrics as files: a table of episodes as Parquet, CSV or JSON; per-row series and events of many episodes."""
+"""Files of metrics: tables of episodes as Parquet, CSV or JSON, and per-row series and events of many episodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ _NUMBERS = ("steps", "robot", "human", "encounter_row", "contact_row")
 def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
     """Write a table to ``.parquet`` or ``.csv`` (one row per episode) or ``.json`` (with means) and return its path.
 
-    Undefined values are null, empty, and null, respectively. The metadata of the Parquet file name profile and metric ids.
+    Undefined values are null in Parquet and JSON, and empty in CSV. The metadata of the Parquet file names the profile
+    and metric ids.
     """
     target = Path(path)
     with part_file(target) as part:
@@ -38,9 +39,10 @@ def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
 
 
 def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Write the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; return the number of rows.
+    """Write per-row series of recordings to ``.parquet`` (one row group each) or ``.csv``; return the number of rows.
 
-    Columns: episode_id, row, time_ns, then the series of the first recording; those a later one lacks are null.
+    Columns: episode_id, row, time_ns, then the series of the first recording; series that a later recording lacks are
+    null.
     """
     target = Path(path)
     write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
@@ -49,7 +51,7 @@ def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], 
 
 
 def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
-    """Write the runs of rows in which flags of a profile hold to ``.parquet`` or ``.csv``; return their number.
+    """Write runs of rows in which a profile's flags hold to ``.parquet`` or ``.csv``; return the number of runs.
 
     Columns: episode_id, what (the flag), first_row, last_row, seconds.
     """

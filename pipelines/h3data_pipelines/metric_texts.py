@@ -1,4 +1,4 @@
-"""Explanations of metrics: their definition, and the reason for a value in one episode."""
+"""Explanations of metrics, with their definition and the reason for a value in one episode."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RUNS = 4
 
 
 def explain(metric: Metric) -> str:
-    """Return the description of one metric as plain text of a few lines."""
+    """Return the description of one metric as a few lines of plain text."""
     low, high = metric.range
     better = {"higher": "higher is better", "lower": "lower is better", "neither": "no better direction"}
     optional = [f"{name} (if present)" for name in metric.optional]
@@ -33,7 +33,7 @@ def explain(metric: Metric) -> str:
 
 
 def explain_episode(metric: Metric, recording: Recording, *, profile: str | None = None) -> str:
-    """Return text on a metric in one episode: value, data read, why it is 0 or undefined, and the rows that decided it.
+    """Return text about a metric in one episode: its value and data, why it is 0 or undefined, and the decisive rows.
 
     ``profile`` names the metric's profile if it has no registered name, such as ``module:name``.
     """
@@ -91,7 +91,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def list_metrics() -> str:
-    """Return a list of every metric of every profile that has a name, one line each."""
+    """Return a list of all metrics of all registered profiles, one line each."""
     profiles = all_profiles()
     every = [m for p in profiles for m in p.metrics]
     widths = max(len(m.id) for m in every), max(len(m.unit) for m in every)

@@ -1,4 +1,4 @@
-"""Values of options from the words of a command line, and messages in the terms of a shell."""
+"""Parsing of option values from the words of a command line, and messages in terms of the shell."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def _listed(option: Option, words: Iterable[str]) -> list[str]:
 
 
 def read_value(option: Option, given: Any) -> Any:
-    """Return the value of an option from its words.
+    """Return the value of an option, parsed from its words on the command line.
 
     Raises:
-        ValueError: they are not of its type; the message says what was expected and what came.
+        ValueError: the words do not match the option's type; the message states the expected and the given value.
     """
     if option.kind is bool:
         return given
@@ -91,7 +91,7 @@ _OTHER_OUT = re.compile(r"\banother -o\b")
 
 
 def in_shell_words(message: str, command: type[Command]) -> str:
-    """Return a message with the options of the command as the shell names them: ``resume=True`` becomes ``--resume``."""
+    """Return a message in which options are named as in a shell, e.g. ``--resume`` instead of ``resume=True``."""
     by_field = {option.field: option for option in options_of(command)}
 
     def as_flag(found: re.Match[str]) -> str:

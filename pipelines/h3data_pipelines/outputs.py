@@ -1,4 +1,4 @@
-"""Files for the outputs of a camera: videos for viewing, lossless videos, or numbered pictures."""
+"""Output files of a camera: videos for viewing, lossless videos, or numbered pictures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SUFFIXES = {"h264": ".mp4", "av1": ".mp4", "ffv1": ".mkv", "png": ""}
 
 @dataclass(frozen=True)
 class Target:
-    """Output of one camera, and its file (a folder for pictures)."""
+    """Output of one camera with its file, or its folder for numbered pictures."""
 
     output: Output
     form: Form
@@ -44,7 +44,7 @@ class Target:
 
     @classmethod
     def named(cls, folder: Path, stem: str, camera: str, output: Output, format: Format) -> Target:
-        """Return the target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
+        """Return the target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its format."""
         form = _FORMS[format][min(OUTPUTS.index(output), 2)]
         return cls(output, form, folder / f"{stem}.{camera}.{output}{_SUFFIXES[form]}")
 
@@ -65,7 +65,7 @@ class Target:
     def open(
         self, camera: Camera, fps: float, picture: ToPicture, *, encoder_threads: int = 1
     ) -> AbstractContextManager[Sink]:
-        """Return a sink for the frames. The target gets its name at the end of the block, unless an exception occurs.
+        """Provide a sink for the frames, whose file gets its final name at the end of the block unless an error occurs.
 
         ``encoder_threads`` is the number of threads of an H.264 encoder, on which the bytes of the file depend.
         """
@@ -75,10 +75,10 @@ class Target:
 
 
 class Sink(Protocol):
-    """Storage of frames in two steps."""
+    """Storage of frames in two steps, preparation and writing."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
-        """Return the work that can run in any thread and any order; the result goes to `write`."""
+        """Return a frame prepared for `write`; this part of the work can run in any thread and any order."""
         ...
 
     def write(self, frame: Any) -> None:

@@ -1,4 +1,4 @@
-"""Parsing of the words after ``h3data``: the command, its options, and one line about errors in them."""
+"""Parsing of the words after ``h3data`` into a command and its options, with errors as one line."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _registry = ConstructorRegistry()
 
 @dataclass(frozen=True)
 class Invocation:
-    """A command with its options, and the options that all commands share."""
+    """Command with its options, and the options that all commands share."""
 
     command: Command
     quiet: bool = False
@@ -52,10 +52,10 @@ class Invocation:
 
 
 def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Invocation:
-    """Return the command that ``args`` name, with its options. Help and the version are printed and end in `SystemExit`.
+    """Return the command that ``args`` name, with its options; after help or the version, raise `SystemExit`.
 
     Raises:
-        InputError: there is no such command or option, one is missing, or a value has the wrong type.
+        InputError: a command or option does not exist or is missing, or a value has the wrong type.
     """
     if list(args) == ["--version"]:
         _leave(f"h3data {own_version()}")

@@ -1,7 +1,7 @@
 """Manifest of a study: a CSV table of participants, sessions and conditions.
 
-One row for each participant, condition, session or file; the columns of the first kind choose recordings, those of the
-second say something about them:
+A manifest has one row for each participant, condition, session or file. Some columns select recordings, and others give
+data about them:
 
 ========== =============================================================================================================
 chooses    ``file``: path of the imported file below the imported folder, ``*`` and ``?`` allowed (``P01/*``); without a
@@ -42,7 +42,7 @@ class ManifestRow:
     say: Mapping[str, str | int]
 
     def fits(self, recording: Recording, file: PurePosixPath) -> bool:
-        """Return whether all its selecting cells match a recording that was imported from ``file``."""
+        """Return whether all non-empty selecting cells of the row match a recording that was imported from ``file``."""
         info = recording.episode.info
         people = [str(name) for name in dict(info.get("participants") or {}).values()]
         tests = {
@@ -56,7 +56,7 @@ class ManifestRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SessionManifest:
-    """A manifest, and the rows that have been used."""
+    """Manifest of a study, with a record of the rows that have been used."""
 
     path: Path
     rows: tuple[ManifestRow, ...]
@@ -70,7 +70,7 @@ class SessionManifest:
 
         Args:
             recording: The imported recording.
-            file: Its path below the imported folder.
+            file: Path of the recording's file relative to the imported folder.
         """
         facts: dict[str, Any] = {}
         fitting = [row for row in self.rows if row.fits(recording, file)]

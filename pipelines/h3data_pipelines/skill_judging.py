@@ -1,4 +1,4 @@
-"""Evaluation of one skill of a robot that is alone in an episode of rearrangement: its outcome and number of steps."""
+"""Evaluation of one skill of a robot that is alone in a rearrangement episode, with its outcome and number of steps."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class SkillScore(NamedTuple):
     reason: str
     steps: int
     path_m: float
-    """Length of the shortest path, at the start, to the place from which the target can be reached [m]."""
+    """Length of the shortest path at the start to the place from which the target can be reached [m]."""
     contact: int
     """Number of steps in which the base touched the home."""
 
 
 def action_of(start: SkillStart) -> Action:
-    """Return the action of the upper layer that begins at a start."""
+    """Return the high-level action that starts a skill at a given start."""
     name = {"nav": "nav_to_goal" if start.holds else "nav_to_object"}.get(start.skill, start.skill)
     return Action(name, start.target)
 
@@ -41,13 +41,13 @@ def judge(
     learned: Mapping[str, LearnedSkill],
     watch: Callable[[WorldRollout], object] | None = None,
 ) -> SkillScore:
-    """Play one skill to its end.
+    """Play one skill to its end and return its outcome.
 
     Args:
         episode: Episode, of whose agents only the first robot is present.
-        start: State in which the skill begins.
-        learned: Learned skills by name; one that is not among them knows all.
-        watch: Called after every step.
+        start: State in which the skill starts.
+        learned: Learned skills by name; a skill without an entry knows the whole state.
+        watch: Function that is called after every step.
     """
     play = play_of(episode, start, learned)
     robot = play.team.robots[0]
@@ -68,7 +68,7 @@ def judge(
 
 
 def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> WorldRollout:
-    """Return the episode with its first robot alone, where a skill begins."""
+    """Return the play of an episode with its first robot alone, in the state in which a skill starts."""
     play = WorldRollout.of(Rearrange(), episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
     home = play.team
     robot = home.robots[0]

@@ -1,4 +1,4 @@
-"""Markers of options that depend on the task: which tasks have an option, and its meaning in each."""
+"""Markers of options that depend on the task, which state the tasks that have an option, and its meaning in each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REMARKS: Mapping[str, str] = {
     "end_to_end_paper": "sees by cameras",
     "plan_pop_3_pixels": "sees by a camera",
 }
-"""Remarks in brackets after the names of policies."""
+"""Remarks that follow the names of policies in parentheses."""
 _NUMBERED = re.compile(r"(.*_)(\d+)")
 
 
@@ -33,7 +33,7 @@ def task_names() -> tuple[str, ...]:
 
 
 def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
-    """Mark an option of the tasks that pass a test; ``others`` are names in the place of a task that have it too."""
+    """Mark an option of the tasks that satisfy a test; ``others`` are names other than tasks that have it too."""
 
     def has(name: str) -> bool:
         task = _found(name)
@@ -43,7 +43,7 @@ def of_tasks(test: Callable[[Task], object], *others: str) -> OfTasks:
 
 
 def task_notes(note: Callable[[Task], str], **others: str) -> TaskNotes:
-    """Mark an option with its meaning in each task; ``others`` are sentences by a name in the place of a task."""
+    """Mark an option with its meaning in each task; ``others`` are sentences for names other than tasks."""
 
     def said(name: str) -> str:
         task = _found(name)
@@ -69,7 +69,7 @@ def policies_of(kind: str, *, default: bool = True) -> TaskNotes:
 
 
 def in_ranges(names: Sequence[str]) -> list[str]:
-    """Return the names, with ``a_1 to a_3`` for three and more that are numbered one after the other."""
+    """Return the names as text, in which three or more consecutive numbers are written as ``a_1 to a_3``."""
     runs: list[list[str]] = []
     for name in names:
         before, this = _NUMBERED.fullmatch(runs[-1][-1]) if runs else None, _NUMBERED.fullmatch(name)
@@ -83,7 +83,7 @@ def in_ranges(names: Sequence[str]) -> list[str]:
 WITH_SKILLS = of_tasks(lambda task: task.control.has_skills)
 """Marker for options of tasks whose agents choose skills."""
 PLAYED = of_tasks(lambda task: True)
-"""Marker for options of all tasks, but not of a single skill."""
+"""Marker for options of all tasks, but not of single skills."""
 
 
 def _found(name: str) -> Task | None:

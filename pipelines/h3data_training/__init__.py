@@ -1,1 +1,1 @@
-"""Training of recurrent policies from pictures: batched worlds, networks, PPO, checkpoints (h3data docs training)."""
+"""Training of recurrent policies from pictures, with batched worlds, PPO and checkpoints (h3data docs training)."""

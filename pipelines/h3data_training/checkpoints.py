@@ -1,4 +1,4 @@
-"""Checkpoints of training runs: the state of a run in one file of numbers, with the worlds of all processes."""
+"""Checkpoints of training runs, which hold the state of a run and all its worlds in one file of arrays."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from h3data_training.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")
-"""Settings that may change when a run continues, as they only limit its length."""
+"""Settings that may change when a run continues, because they only limit its length."""
 
 
 def state_of(learner: Learner) -> dict[str, Any]:
-    """Return weights, optimizer, random numbers and all worlds. Every process has to call it."""
+    """Return weights, optimizer, random numbers and all worlds; every process has to call this function."""
     m, everyone = learner.memory, learner.ranks.gathered
     return {
         "net": learner.net.state_dict(),
@@ -37,7 +37,7 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
     """Restore a learner to the state from `state_of`.
 
     Raises:
-        FormatError: the checkpoint does not fit.
+        FormatError: the checkpoint does not fit the learner.
         InputError: the checkpoint is from a run with a different number of processes.
     """
     m, own = learner.memory, learner.ranks.own
@@ -61,10 +61,10 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
 
 
 class PlainSettings(RunLength, Protocol):
-    """Settings of a run, whose class has defaults for all of them."""
+    """Protocol of the settings of a run, whose class has defaults for all of them."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all settings by name, as plain values."""
+        """Return all settings by name, as JSON types."""
         ...
 
 
@@ -72,7 +72,7 @@ def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str
     """Return the checkpoint in a file, as `read` does; None if there is no file.
 
     Raises:
-        FormatError, InputError: as `read`, or the run is over.
+        FormatError, InputError: as for `read`, or the run has already ended.
     """
     if not path.exists():
         return None
@@ -87,11 +87,11 @@ def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str
 
 
 def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any]:
-    """Return a checkpoint of the same settings and seed; ``form`` is the format that its file must state.
+    """Read a checkpoint with the same settings and seed; ``form`` is the format that its file must state.
 
     Raises:
         FormatError: the file is not a checkpoint, or is damaged.
-        InputError: it is of other settings.
+        InputError: the checkpoint has other settings.
     """
     try:
         kept = torch.load(path, map_location="cpu", weights_only=True)  # numbers only: nothing in it is executed
@@ -116,7 +116,7 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
 
 
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return the settings that differ between ``then`` and ``now``, in words; empty: none."""
+    """Return the settings that differ between ``then`` and ``now`` as text; empty if none differ."""
     return "; ".join(
         f"{name}={then.get(name)!r}, not {value!r}" for name, value in now.items() if then.get(name) != value
     )

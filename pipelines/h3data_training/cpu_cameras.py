@@ -1,4 +1,4 @@
-"""Pictures of training worlds on a machine without a GPU, for tests and trials."""
+"""Pictures of training worlds on a machine without a GPU, for tests and small experiments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 
 
 def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, Tensor]:
-    """Return pictures of worlds that are posed one after the other, by output, [W, H, W', ...] each."""
+    """Return pictures of worlds that are posed one after the other, each [W, H, W', ...], by output."""
     taken = [sensor.observe(drawn) for drawn in worlds]
     return {name: torch.as_tensor(np.concatenate([pictures[name] for pictures in taken])) for name in sensor.outputs}
 
@@ -51,7 +51,7 @@ class CpuCameras:
         self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Pose robots and people in all worlds, as `h3data_training.torch.cameras.TensorCameras.pose` on the CPU."""
+        """Set the poses of robots and people in all worlds, with the interface of `TensorCameras.pose`."""
         state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
         robot.put(state.robots[0])
         human.put(state.people[0])
@@ -59,7 +59,7 @@ class CpuCameras:
         self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Render all worlds, as `h3data_training.torch.cameras.TensorCameras.picture` on the CPU."""
+        """Render all worlds on the CPU, with the interface of `TensorCameras.picture`."""
         sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
         light: LightMode = self._light if "rgb" in outputs else "flat"
         return stacked(sensor, (self._posed(w, home, light) for w, home in enumerate(self._homes.tolist())))

@@ -1,4 +1,4 @@
-"""Learning curve of a run: a table in its folder, and event files for TensorBoard."""
+"""Learning curve of a run, as a table in its folder and as event files for TensorBoard."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from h3data.files import part_file
 CURVE, EVENTS = "curve.parquet", "tensorboard"
 
 Row = dict[str, float]
-"""Results of an update, by name."""
+"""Results of one update, by name."""
 
 
 def save_curve(curve: list[Row], folder: Path) -> None:
-    """Write the table, whole or not at all."""
+    """Write the table of a learning curve atomically."""
     with part_file(folder / CURVE) as part:
         pq.write_table(pa.Table.from_pylist(curve), part)
 
@@ -38,7 +38,7 @@ def curve_of(folder: Path) -> list[Row]:
 
 
 class EventLog:
-    """Writer of the curve's rows for TensorBoard, over decisions; it does nothing if ``tensorboard`` is not installed."""
+    """Writer of the curve's rows for TensorBoard, by number of decisions; without ``tensorboard`` it does nothing."""
 
     def __init__(self, folder: Path, curve: list[Row]) -> None:
         self._writer: Any = None
@@ -51,7 +51,7 @@ class EventLog:
         self._writer = SummaryWriter(str(folder / EVENTS), purge_step=last + 1)
 
     def write(self, curve: list[Row]) -> None:
-        """Write the rows that are new since the last call."""
+        """Write the rows that were added since the last call."""
         if self._writer is None:
             return
         for row in curve[self._rows :]:

@@ -32,7 +32,7 @@ def rules(settings: Settings) -> SocialNavSpec:
     """Return the paper's rules for training, with the set of rules that the settings name.
 
     Raises:
-        InputError: there is no such walk.
+        InputError: the settings name an unknown walk.
     """
     if settings.walk not in WALKERS:
         raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TRAIN-020")
@@ -40,12 +40,14 @@ def rules(settings: Settings) -> SocialNavSpec:
 
 
 def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> EpisodeBank:
-    """Return the episodes of a run, as many in each home. Call it before CUDA begins: the processes are forked.
+    """Return the episodes of a run, the same number in each home.
+
+    Call this function before CUDA is initialised, because the processes are forked.
 
     Args:
         settings: Homes, bodies and rules.
-        seed: Episodes follow from it and from the number of their home.
-        workers: Processes; None is one for each core. 1 makes them here.
+        seed: Seed that, with the number of their home, determines the episodes.
+        workers: Number of processes; None is one for each core, and 1 uses this process.
 
     Raises:
         InputError: there are no such homes, or one has stairs.
@@ -57,7 +59,7 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
 
 
 def by_home(make: Callable[[Task], Bank], tasks: Sequence[Task], *, workers: int | None = None) -> list[Bank]:
-    """Call ``make`` for each home, in several processes; None is one for each core, 1 makes it here."""
+    """Call ``make`` for each home in several processes (None: one for each core, 1: this process)."""
     count = min(workers or min(len(os.sched_getaffinity(0)), MOST_WORKERS), len(tasks))
     with progress(desc="homes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
 
@@ -95,7 +97,7 @@ def listed_scenes(text: str) -> tuple[NamedScene, ...]:
     """Return the scenes of several names separated by commas, as in ``h3-homes/train,h3-homes-v2/train``, in that order.
 
     Raises:
-        InputError, FormatError: as `named_scenes`; or two names mean the same scene.
+        InputError, FormatError: as for `named_scenes`, or two names mean the same scene.
     """
     names = [text] if Path(text).exists() else [name.strip() for name in text.split(",")]
     found = tuple(named for name in names for named in named_scenes(name))

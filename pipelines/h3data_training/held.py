@@ -1,4 +1,4 @@
-"""Worlds in which an action is repeated for some steps: the rewards in these steps, and the episodes that end."""
+"""Worlds in which an action is repeated for several steps, with sums of rewards and of ended episodes."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from h3data_training.torch.graph import captured
 
 
 class ActionRepeat:
-    """The part of a `h3data_training.ppo.Worlds` that all tasks share.
+    """Base class of `h3data_training.ppo.Worlds` for all tasks.
 
-    A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.
+    A world whose episode ends during these steps starts the next one at once; rewards after that are not counted.
     """
 
     counts: tuple[str, ...]
-    """Sums over worlds and steps that `totals` keeps."""
+    """Names of the sums over worlds and steps that `totals` accumulates."""
     sim: Any
-    """Worlds as tensors, whose ``bank`` has the episodes."""
+    """Worlds as tensors, whose ``bank`` has the episodes that they play."""
     play: Any
     """State of all worlds; overwritten by every step."""
     shown: Tensor | None = None
-    """Worlds in which a teacher acts as long as it has a weight, bool [W]; None: in none."""
+    """Worlds in which a teacher acts as long as it has a weight, bool [W]; None for no world."""
     _action: Tensor
     _shown: dict[str, Tensor]
     """Observations of the last call of `_eager`."""
 
     def __init__(self, hold: int, worlds: int, device: torch.device | str) -> None:
-        """Make sums for ``worlds`` worlds, in which an action is repeated for ``hold`` steps."""
+        """Create sums for ``worlds`` worlds, in which an action is repeated for ``hold`` steps."""
         self.hold, self.num_envs, self.device = hold, worlds, torch.device(device)
         self._advance = self._eager
         """`_eager`, or the CUDA graph that was captured of it."""
@@ -44,14 +44,17 @@ class ActionRepeat:
         """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Move all worlds by an action [W, A]; return what `Worlds.repeat_action` returns, in tensors of its own."""
+        """Advance all worlds by a repeated action [W, A], and return new tensors as `Worlds.repeat_action` does."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
         return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
 
     def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Play `repeat_action` operation by operation, so that a CUDA graph can capture it; a call overwrites the tensors."""
+        """Perform `repeat_action` operation by operation, so that a CUDA graph can capture it.
+
+        Each call overwrites the same tensors.
+        """
         own = self._shown  # where a graph of these worlds alone writes
         self._action.copy_(action)
         self._eager()

@@ -1,4 +1,4 @@
-"""Processes of a run that trains on several GPUs: starting them, and waiting for them."""
+"""Start and supervision of the processes of a run that trains on several GPUs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOOK_S = 0.5
 
 
 class StopRequest(Protocol):
-    """Request to stop a run; `threading.Event` is one."""
+    """Protocol of a request to stop a run, such as `threading.Event`."""
 
     def is_set(self) -> bool:
         """Return whether the run should stop."""
@@ -28,17 +28,17 @@ class StopRequest(Protocol):
 
 
 Work = Callable[[Any, StopRequest, Callable[[str], None]], Any]
-"""Work of a process: a function of its input, a request to stop, and a receiver of lines."""
+"""Function that a process runs, with an input, a request to stop, and a receiver of lines of text."""
 
 
 def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callable[[str], None]) -> Any:
-    """Run ``work`` in ``count`` new processes, with the variables that torchrun would set; return what the first one returns.
+    """Run ``work`` in ``count`` new processes with torchrun's variables, and return the result of the first one.
 
-    ``given`` is left in a file for them, since it may be large. When a process fails, the others, which would wait for it
-    forever, are ended.
+    ``given`` is passed to them in a file, since it may be large. When a process fails, the others are ended, because
+    they would wait for it forever.
 
     Raises:
-        Exception: what a process raised.
+        Exception: an exception that a process raised.
         RuntimeError: a process has died.
     """
     context = get_context("spawn")  # a forked process could not use CUDA

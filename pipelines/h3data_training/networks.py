@@ -1,4 +1,4 @@
-"""Policy in PyTorch, with the parts that only training needs: a critic, an auxiliary head, exploration noise.
+"""Visual policy in PyTorch, with a critic, an auxiliary head and exploration noise for training.
 
 `sim_kinematic.policies.visual_policy` is the same policy in NumPy.
 """
@@ -37,17 +37,17 @@ def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
 
 
 def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
-    """Return the numerical inputs of the critic, and whether the episode is ``over`` [n]."""
+    """Return the numerical inputs of the critic, including whether the episode is ``over`` [n]."""
     return torch.cat([*(OF_COMMANDS[n].of(torch, shown[n]) for n in names), over[:, None].float()], 1)
 
 
 def critic_length(settings: Settings) -> int:
-    """Return the number of inputs of the critic: its observations, and whether the episode is over."""
+    """Return the number of inputs of the critic, including the flag that the episode is over."""
     return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
 def picture(seen: Tensor) -> Tensor:
-    """Move squares of 4 x 4 pixels into channels: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4].
+    """Move squares of 4 x 4 pixels into channels, from [n, H, W, planes] to [n, 16 planes, H / 4, W / 4].
 
     Depth is rescaled so that near distances have more detail. The result has half precision, in which the depth of
     rollouts of 4,096 worlds takes 0.8 GB.
@@ -59,7 +59,7 @@ def picture(seen: Tensor) -> Tensor:
 def picture_layers(
     name: str, size: tuple[int, int], channels: tuple[int, int, int], features: int
 ) -> tuple[nn.ModuleList, nn.Linear]:
-    """Return the layers that turn a named picture (width, height) into features: three convolutions, and a linear one."""
+    """Return the layers that turn a picture (width, height) into features: three convolutions and a linear layer."""
     widths = (PICTURES[name] * PATCH * PATCH, *channels)
     convolutions = nn.ModuleList(
         nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
@@ -68,7 +68,7 @@ def picture_layers(
 
 
 def picture_features(weights: Mapping[str, Tensor], pixels: Tensor) -> Tensor:
-    """Return features [n, F] of pictures whose squares are channels, as of `picture`, with weights as in `picture_arrays`."""
+    """Return features [n, F] of pictures in the form that `picture` returns, with the weights of `picture_arrays`."""
     x = (pixels if pixels.is_cuda else pixels.float()).contiguous(memory_format=torch.channels_last)
     for k, stride in enumerate(STRIDES):
         x = F.relu(F.conv2d(x, weights[f"conv_{k}.weight"], weights[f"conv_{k}.bias"], stride, 1))
@@ -76,7 +76,7 @@ def picture_features(weights: Mapping[str, Tensor], pixels: Tensor) -> Tensor:
 
 
 def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Tensor]:
-    """Return weights by name, as in `sim_kinematic.policies.visual_policy.picture_shapes`."""
+    """Return the weights of picture layers by name, as in `sim_kinematic.policies.visual_policy.picture_shapes`."""
     named = {"picture.weight": last.weight, "picture.bias": last.bias}
     for k, convolution in enumerate(convolutions):
         named |= {f"conv_{k}.weight": convolution.weight, f"conv_{k}.bias": convolution.bias}
@@ -84,7 +84,7 @@ def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Te
 
 
 class ActorCritic(nn.Module):
-    """A recurrent actor, and a critic that observes the positions of all agents."""
+    """Network with a recurrent actor, and a critic that observes the positions of all agents."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
@@ -119,15 +119,15 @@ class ActorCritic(nn.Module):
         return last
 
     def std(self) -> Tensor:
-        """Return the standard deviation of the exploration noise, for each component of an action."""
+        """Return the standard deviation of the exploration noise for each component of an action [A]."""
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return a picture [n, H, W, planes] in the form for rollouts."""
+        """Return pictures [n, H, W, planes] in the form in which rollouts store them."""
         return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """Return the inputs of the recurrent layer, [n, F]."""
+        """Return the inputs of the recurrent layer [n, F] for pixels and numbers."""
         if pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -151,10 +151,10 @@ class ActorCritic(nn.Module):
     def roll(self, x: Tensor, state: Tensor, begins: Tensor) -> Tensor:
         """Return outputs [T, B, H] of the recurrent layer for features [T, B, F].
 
-        The state [B, S] is reset before steps that ``begins``.
+        The state [B, S] is reset before the steps at which an episode starts (``begins``).
 
-        cuDNN cannot reset within a sequence, so parts of episodes are put beside each other and the short ones padded: features
-        only, since padding the pictures too took most of the time of an update.
+        cuDNN cannot reset a state within a sequence, so parts of episodes become separate sequences, and short ones are
+        padded. Only features are padded, because padding the pictures took most of the time of an update.
         """
         steps, batch, width = x.shape
         start = begins.T.clone()
@@ -170,10 +170,10 @@ class ActorCritic(nn.Module):
         return out.flatten(0, 1).index_select(0, at).view(steps, batch, -1)
 
     def take(self, arrays: Mapping[str, Any]) -> None:
-        """Replace the actor by that of `arrays`.
+        """Replace the actor by one with the arrays that `arrays` returns.
 
         Raises:
-            InputError: it has other layers.
+            InputError: the arrays are those of other layers.
         """
         mine = self._named()
         other = [
@@ -189,7 +189,7 @@ class ActorCritic(nn.Module):
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
     def arrays(self) -> dict[str, Any]:
-        """Return the actor as `sim_kinematic.policies.visual_policy.VisualPolicy` names its arrays, float32."""
+        """Return the actor's float32 arrays by their names in `sim_kinematic.policies.visual_policy.VisualPolicy`."""
         return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in self._named().items()}
 
     def _named(self) -> dict[str, Any]:
@@ -210,7 +210,7 @@ class ActorCritic(nn.Module):
 
 
 class ResNetActorCritic(ActorCritic):
-    """Policy with the paper's actor and our critic."""
+    """Network with the paper's actor and h3data's critic."""
 
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         size = s.picture_size if self.sees else None
@@ -226,11 +226,11 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
-        """Return pictures in the form for the network."""
+        """Return pictures in the form that the network expects."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """Return features [n, F] of pixels and numbers."""
+        """Return features [n, F] of pictures and numbers."""
         return self.actor.features(pixels, numbers)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -238,7 +238,7 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.remember(x, state)
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
-        """Return the mean of the action, from the output of the recurrent layers."""
+        """Return the mean action for the output of the recurrent layers."""
         return self.actor.act(known)
 
     def _named(self) -> dict[str, Any]:
@@ -246,15 +246,15 @@ class ResNetActorCritic(ActorCritic):
 
 
 def network(settings: Settings) -> ActorCritic:
-    """Return a network with fresh weights, as the settings describe it."""
+    """Return a network with random initial weights, as the settings describe it."""
     return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
 
 
 def warm_start(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
-    """Replace the actor by a trained one. Return the entries of its card on its training, and on earlier training.
+    """Replace the actor by a trained one, and return the entries of its card about its training and earlier training.
 
     Raises:
-        InputError: it is shown other things, drives another robot, or has other layers.
+        InputError: the trained actor has other observations, another robot, or other layers.
     """
     card, s = policy.card, settings
     pairs = {

@@ -16,30 +16,31 @@ from h3data_training.settings import Settings
 from h3data_training.torch.graph import captured, keep_row, overwrite
 
 RANK_SEED = 1_000_003
-"""Difference between the seeds of two processes' exploration noise."""
+"""Difference between the seeds of exploration noise of two processes."""
 BEYOND = 1.2
-"""Limit beyond which mean actions are pulled back, as beyond its limits a command changes nothing and no gradient does
-it."""
+"""Absolute value above which mean actions are penalised, because commands beyond their limits have no effect and
+therefore no gradient.
+"""
 
 
 class Worlds(Protocol):
-    """W worlds in which a decision holds an action for some steps; a world whose episode is over begins the next one."""
+    """Protocol of W worlds in which an action is repeated for several steps, and which start new episodes."""
 
     num_envs: int
     device: torch.device
     totals: Tensor
-    """Sums over worlds and steps, named by `counts`."""
+    """Sums over worlds and steps, in the order of `counts`."""
     counted: Tensor
     """True for worlds that are counted in `totals`, bool [W]; overwritten by the learner."""
 
     @property
     def shown(self) -> Tensor | None:
-        """True for worlds in which the teacher acts as long as it has a weight, bool [W]; None: in none."""
+        """True for worlds in which the teacher acts as long as it has a weight, bool [W]; None for no world."""
         ...
 
     @property
     def counts(self) -> tuple[str, ...]:
-        """Names of the sums that `step` returns, the reward first."""
+        """Names of the sums that `step` returns, with the reward first."""
         ...
 
     @property
@@ -48,42 +49,46 @@ class Worlds(Protocol):
         ...
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Begin episodes in all worlds; return the actor's observations and those of the critic."""
+        """Start episodes in all worlds; return the observations of the actor and of the critic."""
         ...
 
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Move all worlds by an action [W, A].
+        """Advance all worlds by several steps of an action [W, A].
 
         Returns:
-            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
-            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
+            Observations, the reward [W], whether a new episode started in these steps [W], whether the episode before
+                it reached its time limit [W], and whether the action had no effect because the episode was already over
+                [W].
         """
         ...
 
     def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Do `repeat_action` operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
+        """Perform `repeat_action` operation by operation, so that a CUDA graph can capture it.
+
+        Each call overwrites the same tensors.
+        """
         ...
 
     def taught(self) -> Tensor:
-        """Return the actions of a teacher in these states, [W, A]."""
+        """Return the actions of a teacher in the current states, [W, A]."""
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return the columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that are computed from the totals, by name."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """State that is carried from one decision to the next, for W worlds; written in place."""
+    """State that is carried from one decision to the next in W worlds, as tensors that are written in place."""
 
     shown: dict[str, Tensor]
     state: Tensor
     """Recurrent state of the network, [W, S]."""
     last: Tensor
-    """Last action, clipped, [W, A]; 0 where an episode has begun since."""
+    """Last action, clipped, [W, A]; 0 in worlds where an episode has started since."""
     over: Tensor
-    """True if an episode began in the last decision, bool [W]."""
+    """True if an episode started in the last decision, bool [W]."""
 
     def tensors(self) -> list[Tensor]:
         """Return all tensors, in a fixed order."""
@@ -97,13 +102,13 @@ class Schedule(NamedTuple):
     gamma: float
     """Discount of one decision."""
     acts: bool = True
-    """True if the actor learns, False if only the critic does, which is new where the actor is not."""
+    """True if the actor learns; False if only the critic does, which is new if the actor is pretrained."""
     teacher: float = 0.0
-    """Weight of the actions of a teacher."""
+    """Weight of imitating the actions of a teacher."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
-    """Return the schedule at a share of the run, 0..1, before update number ``update``."""
+    """Return the schedule before update number ``update``, at a given share of the run (0..1)."""
     s = settings
     acting = update - s.critic_updates
     warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
@@ -115,7 +120,8 @@ def schedule(settings: Settings, share: float, update: int) -> Schedule:
 class Learner:
     """Actor, critic, optimizer and rollout buffers of one run.
 
-    In a run of several processes, each has a learner with its share of the worlds, and all arrive at the same weights.
+    In a run of several processes, each process has a learner with its share of the worlds, and all learners compute the
+    same weights.
     """
 
     def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
@@ -146,7 +152,7 @@ class Learner:
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
-        """Collect one rollout, learn from it, and return a row of the learning curve."""
+        """Collect one rollout, update the networks from it, and return a row of the learning curve."""
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()

@@ -1,4 +1,4 @@
-"""Distributed training of one policy by several processes, one per GPU: `torch.distributed` behind a few plain functions."""
+"""Distributed training of one policy by several processes, one per GPU, over `torch.distributed`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 
 @dataclass(frozen=True)
 class Ranks:
-    """One process among those of a run; if it is the only one, every function returns its argument unchanged."""
+    """One process among those of a run; if it is the only one, every method returns its argument unchanged."""
 
     rank: int = 0
     count: int = 1
@@ -41,7 +41,7 @@ class Ranks:
         return self.sum(tensor) / self.count if self.count > 1 else tensor
 
     def variance(self, tensor: Tensor) -> Tensor:
-        """Return the variance of all elements in all processes, each of which holds as many."""
+        """Return the variance of all elements in all processes, which hold the same number of elements."""
         if self.count == 1:
             return tensor.var()
         number = tensor.numel() * self.count
@@ -56,7 +56,7 @@ class Ranks:
         return tensor
 
     def gathered(self, tensor: Tensor) -> Tensor:
-        """Return the rows of all processes, one after the other."""
+        """Return the rows of all processes, concatenated in the order of the processes."""
         if self.count == 1:
             return tensor
         rows = tensor.to(torch.uint8) if tensor.dtype == torch.bool else tensor
@@ -65,11 +65,11 @@ class Ranks:
         return torch.cat(parts).to(tensor.dtype)
 
     def own(self, tensor: Tensor) -> Tensor:
-        """Return this process's share of the rows of all of them."""
+        """Return this process's share of the rows of all processes."""
         return tensor.chunk(self.count)[self.rank] if self.count > 1 else tensor
 
     def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
-        """Replace gradients by their means over all processes: one all-reduce of a single flat tensor."""
+        """Replace gradients by their means over all processes, with one all-reduce of a single flat tensor."""
         if self.count == 1:
             return
         given = [p.grad for p in parameters if p.grad is not None]
@@ -81,17 +81,17 @@ class Ranks:
 
 
 def torchrun_place() -> tuple[int, int] | None:
-    """Return the rank and number of processes from torchrun, None if it did not start this process."""
+    """Return the rank and number of processes from torchrun, or None if torchrun did not start this process."""
     if any(name not in os.environ for name in TORCHRUN):
         return None
     return int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
 
 
 def own_place(device: str) -> tuple[Ranks, str]:
-    """Return this process's place in the run and its device: of several GPUs it sees one. Call it before CUDA begins.
+    """Return this process's `Ranks` and its device, one of several GPUs; call it before CUDA is initialised.
 
     Raises:
-        InputError: there is no GPU for it.
+        InputError: there is no GPU for this process.
     """
     place = torchrun_place()
     if place is not None and device.startswith("cuda"):
@@ -113,7 +113,10 @@ def own_place(device: str) -> tuple[Ranks, str]:
 
 
 def connect(ranks: Ranks, device: torch.device) -> None:
-    """Wait for the other processes. Call it after CUDA graphs have been captured, which NCCL's threads would disturb."""
+    """Connect to the other processes.
+
+    Call this function after CUDA graphs have been captured, because NCCL's threads would disturb the capture.
+    """
     if ranks.count == 1:
         return
     if device.type == "cuda":
@@ -125,6 +128,6 @@ def connect(ranks: Ranks, device: torch.device) -> None:
 
 
 def leave() -> None:
-    """Leave the other processes."""
+    """Disconnect from the other processes."""
     if dist.is_initialized():
         dist.destroy_process_group()

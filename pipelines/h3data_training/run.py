@@ -1,4 +1,4 @@
-"""A training run in a folder: episodes, worlds, learner, learning curve, checkpoints, and the policy file."""
+"""Training run in a folder, with episodes, worlds, learner, learning curve, checkpoints and the policy file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
 STARTS = "starts.npz"
-"""Name of the file of a skill's episode starts, so that a continued run need not search for them again."""
+"""Name of the file of a skill's episode starts, so that a continued run does not search for them again."""
 
 
 def train(
@@ -56,29 +56,32 @@ def train(
     bank: Bank | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Train until the run is over, ``stop_after`` minutes have passed, or an interruption, and save.
+    """Train until the run ends, ``stop_after`` minutes have passed, or an interruption occurs, and save the state.
 
-    On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
-    updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
+    On the CPU, a run that was interrupted and continued gives the same weights as one that was not, if its length is
+    given in updates; progress in minutes depends on the clock. A process that torchrun has started joins the other
+    processes.
 
     Args:
-        folder: Existing folder. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there, and
-            `STARTS` of a skill.
-        settings: Settings of training: of social navigation, or of a skill (`h3data_training.skills.settings.SkillSettings`).
-        seed: Everything random follows from it.
+        folder: Existing folder. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) are written
+            there, and for a skill also `STARTS`.
+        settings: Settings of training for social navigation or for a skill
+            (`h3data_training.skills.settings.SkillSettings`).
+        seed: Seed of everything random.
         device: ``cpu`` or ``cuda``.
-        gpus: Processes that train together, one for each GPU, or as many on the CPU; each has its share of the worlds.
-        init: A trained policy to begin with; its critic is new.
-        resume: Go on from the checkpoint in the folder, if there is one.
-        stop_after: Minutes of this call, set-up included; None: until the run is over.
-        checkpoint_s: Seconds between two checkpoints.
-        compile: Compiles the worlds, as in `SocialNavTorchEnv`.
+        gpus: Number of processes that train together, one for each GPU, or on the CPU; each has its share of the
+            worlds.
+        init: Trained policy to start with; the critic is new.
+        resume: True continues from the checkpoint in the folder, if there is one.
+        stop_after: Time limit of this call including set-up [min]; None for the whole run.
+        checkpoint_s: Time between two checkpoints [s].
+        compile: True compiles the worlds, as in `SocialNavTorchEnv`.
         name: Name of the recipe, for the card.
-        bank: Episodes to train on; None makes them.
-        say: Told what goes on, in lines.
+        bank: Episodes to train on; None samples them.
+        say: Function that is called with lines of text about the progress.
 
     Raises:
-        InputError: a setting does not fit, the checkpoint is of other settings, or a GPU is too small.
+        InputError: a setting does not fit, the checkpoint has other settings, or a GPU is too small.
         FormatError: the checkpoint is damaged.
     """
     job = _Job(
@@ -166,7 +169,7 @@ def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
 ) -> ActionRepeatEnv | ActionRepeatSkills:
-    """Return the worlds for settings, in the episodes of a bank."""
+    """Return the training worlds for some settings and the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
         return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)
@@ -345,11 +348,11 @@ class _Run:
 
 
 TOLD = ("reward", "follows", "collided", "met", "succeeded", "failed")
-"""Columns of the last update that a card repeats."""
+"""Names of the columns of the last update that a policy's card contains."""
 
 
 def figures_of(row: dict[str, float]) -> str:
-    """Return episodes of an update, as a row of the learning curve has them, in words."""
+    """Return text about the episodes of an update, from a row of the learning curve."""
     if "follows" in row:
         return f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}"
     if row.get("ended") == 0:
@@ -358,5 +361,5 @@ def figures_of(row: dict[str, float]) -> str:
 
 
 def describe(settings: Settings) -> str:
-    """Return the settings for people, as JSON in lines."""
+    """Return the settings as readable JSON with line breaks."""
     return json.dumps(settings.as_dict(), indent=1)

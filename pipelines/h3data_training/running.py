@@ -1,4 +1,4 @@
-"""Parts of training runs of all kinds: their length, how they are stopped, their results."""
+"""Code for training runs of all kinds: their length, their interruption, and their results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 
 
 class RunLength(Protocol):
-    """Settings of the length of a run."""
+    """Protocol of the settings of the length of a run."""
 
     @property
     def updates(self) -> int:
@@ -38,13 +38,13 @@ class RunResult:
 
     folder: Path
     done: bool
-    """True if the run is over; else it continues from the checkpoint."""
+    """True if the run has ended; False if it can be continued from the checkpoint."""
     updates: int
     decisions: int
     seconds: float
-    """Duration of all calls, set-up included."""
+    """Duration of all calls including set-up [s]."""
     setup_s: float
-    """Duration of the set-up of this call."""
+    """Duration of the set-up of this call [s]."""
     last: dict[str, float]
     """Last row of the learning curve."""
 
@@ -62,7 +62,7 @@ class RunResult:
 
 
 def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: float) -> float:
-    """Return the progress, 0..1: by updates where their number is given, else by the time spent learning."""
+    """Return the progress of a run (0..1), by updates if their number is given, otherwise by learning time."""
     if settings.updates:
         return min(len(curve) / settings.updates, 1.0)
     return min(max((seconds - setups_s) / max(settings.minutes * 60 - setups_s - SPARE_S, 1e-9), 0.0), 1.0)
@@ -70,7 +70,10 @@ def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: fl
 
 @contextmanager
 def stop_asked() -> Iterator[threading.Event]:
-    """Set by Ctrl-C or SIGTERM, so that an update is finished and saved; a second one ends the process at once."""
+    """Provide an event that Ctrl-C or SIGTERM sets, so that an update is finished and saved.
+
+    A second signal ends the process at once.
+    """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
@@ -96,8 +99,8 @@ def stop_asked() -> Iterator[threading.Event]:
 def one_thread(device: str) -> Iterator[None]:
     """Limit PyTorch to one thread on the CPU.
 
-    The tensors are small: next to other processes, several threads spend most of the time waiting for each other (145
-    decisions per second instead of 6,000).
+    The tensors are small. With other busy processes, several threads would spend most of the time waiting for each
+    other (145 decisions per second instead of 6,000).
     """
     threads = torch.get_num_threads()
     if device == "cpu":

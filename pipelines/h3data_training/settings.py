@@ -1,4 +1,4 @@
-"""Settings of a training run, as one frozen record; recipes are records with names."""
+"""Settings of a training run as one frozen record, and recipes, which are named settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
+    """Settings of one training run, in which rates are linear in progress (0 at the start, 1 at the end)."""
 
     scenes: str = "h3-homes/train"
     """Name of a scene or several names, separated by commas (`h3data_training.episodes.listed_scenes`)."""
@@ -29,32 +29,35 @@ class Settings:
     picture_size: tuple[int, int] = (64, 48)
     """Width and height of pictures [pixels], multiples of 4."""
     light: LightMode = "flat"
-    """Light in ``arm_rgb``: ``flat`` or ``baked``. The policy is shown the same wherever it plays."""
+    """Light in ``arm_rgb``: ``flat`` or ``baked``. The policy observes the same light wherever it plays."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = "natural"
     """Walk of people: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
     follow_steps: int = 0
-    """Number of steps of following after which an episode is cut short, as if its time were over: most of a rollout
-    would otherwise be following, and little of it finding. 0: never."""
+    """Number of steps of following after which an episode is cut short, as if it had reached its time limit; 0 for
+    never. Otherwise most of a rollout would be following, and little of it finding.
+    """
     worlds: int = 4096
     rollout: int = 32
     """Number of decisions per world between two updates."""
     hold: int = 3
-    """Number of steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches
-    farther. Holding for 3 costs a follower trained for 1 most of its ability to keep its distance at the paper's 2.5
-    m/s, less at a walking speed."""
+    """Number of steps of 1/30 s for which an action is repeated, because a picture costs more than a step, and because
+    rewards are then credited to earlier decisions. With 3 steps, a policy trained with 1 step loses most of its ability
+    to keep its distance from people at the paper's 2.5 m/s, and less at walking speed.
+    """
 
     network: str = "cnn_gru"
-    """Type of the network. ``cnn_gru``: three convolutions and a GRU. ``resnet18_lstm``: the paper's, with
-    ``channels[0]`` planes at first."""
+    """Type of the network. ``cnn_gru`` has three convolutions and a GRU. ``resnet18_lstm`` is the paper's network, with
+    ``channels[0]`` planes in the first layer.
+    """
     channels: tuple[int, int, int] = (32, 64, 64)
     features: int = 256
     """Number of values that represent a picture."""
     hidden: int = 256
     """Size of the recurrent state."""
     act_width: int = 256
-    """Number of units between the recurrent state and the action."""
+    """Number of units of the layer between the recurrent state and the action."""
     critic_width: int = 256
     """Number of units in each of the two layers of the critic."""
 
@@ -62,35 +65,38 @@ class Settings:
     minibatches: int = 4
     rate: float = 8e-4
     rate_end: float = 0.05
-    """Share of the learning rate that is left at the end."""
+    """Learning rate at the end of the run, as a share of that at the start."""
     warmup_updates: int = 15
     critic_updates: int = 0
-    """Number of updates in which only the critic learns, as it is new if the actor comes from a file."""
+    """Number of updates in which only the critic learns, because it is new if the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
     """Standard deviation of the exploration noise at the start."""
     least_std: float = 0.1
-    """Least standard deviation of the exploration noise."""
+    """Smallest standard deviation of the exploration noise."""
     horizon: tuple[float, float] = (150.0, 500.0)
-    """Number of steps that the value looks ahead, at the start and at the end: finding the person is learned before
-    avoiding contact."""
+    """Horizon of the value in steps, at the start and at the end of the run; finding the person is learned before
+    avoiding contact.
+    """
     gae_lambda: float = 0.95
     clip: float = 0.2
     gradient_norm: float = 1.0
     teacher: float = 0.0
-    """Weight of the actions of a scripted teacher at the start; for tasks that have one."""
+    """Weight of imitating the actions of a scripted teacher at the start, for tasks that have a teacher."""
     teacher_end: float = 0.6
-    """Share of the run after which that weight is 0."""
+    """Share of the run after which the weight of the teacher is 0."""
     auxiliary: float = 0.5
     """Weight of the head that predicts the critic's inputs from the recurrent state."""
     near_m: float = 3.0
     """Distance from the person that separates two groups of worlds, within which advantages are centred and scaled [m]:
-    near the person a step pays 30 times as much as on the path to them. 0 scales all alike."""
+    near the person a step has 30 times the reward of a step on the path to them. With 0, all worlds are scaled
+    together.
+    """
 
     updates: int = 0
-    """Length of the run in updates; 0: ``minutes`` decides."""
+    """Length of the run in updates; 0 if ``minutes`` determines it."""
     minutes: float = 8.7
-    """Length of the run, set-up included."""
+    """Length of the run including set-up [min]."""
 
     def __post_init__(self) -> None:
         check_light(self.light)
@@ -169,22 +175,22 @@ class Settings:
 
     @property
     def pictured(self) -> bool:
-        """Return whether some of the observations are made of pictures."""
+        """Return whether some of the observations are computed from pictures."""
         return bool({*PICTURES, DETECTOR} & set(self.observations))
 
     @property
     def vector_observations(self) -> tuple[str, ...]:
-        """Names of observations that the actor may have besides a picture, or without one."""
+        """Names of observations that the actor may have in addition to a picture, or without one."""
         return OF_SOCIAL_NAV
 
     @property
     def critic(self) -> tuple[str, ...]:
-        """Observations of the critic, in training only; the policy file has none of them."""
+        """Names of the critic's observations, which are used in training only and are not in the policy file."""
         return CRITIC
 
     @property
     def first_action(self) -> tuple[float, ...]:
-        """Action around which an actor explores at first: standing still."""
+        """Action around which an actor explores at first, which is standing still."""
         return (0.0,) * BASE_ACTIONS
 
     @property
@@ -198,12 +204,12 @@ class Settings:
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:
-        """Return settings for a trained actor: the critic learns alone at first, and there is less exploration."""
+        """Return settings for a pretrained actor, with which at first only the critic learns, with less exploration."""
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
     def looking_ahead(self, steps: float) -> Settings:
-        """Return settings whose value looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
+        """Return settings with a horizon of ``steps`` of 1/30 s at the end, and in proportion at the start."""
         if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
             raise InputError(
                 f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps.",
@@ -212,7 +218,7 @@ class Settings:
         return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the settings as plain values, as in checkpoints and cards."""
+        """Return the settings as JSON types, as in checkpoints and cards."""
         return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
 
 
@@ -253,13 +259,14 @@ RECIPES: dict[str, Settings] = {
         minutes=10.0,
     ),
 }
-"""Recipes by name. ``paper``: as published, except that the critic observes the map, and the learning rate falls.
-``fast``: one GPU, minutes. ``tiny``: a CPU core, and no pictures: the robot observes the positions of the person and
-walls."""
+"""Recipes by name. ``paper`` has the published settings, except that the critic observes the map and the learning rate
+decreases. ``fast`` takes minutes on one GPU. ``tiny`` uses a CPU core and no pictures; the robot observes the positions
+of the person and walls.
+"""
 
 
 def recipe(name: str, **changes: Any) -> Settings:
-    """Return a recipe with some settings changed; None changes nothing.
+    """Return a recipe with some settings changed; None leaves a setting unchanged.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.

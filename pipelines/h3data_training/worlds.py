@@ -1,4 +1,4 @@
-"""Batched worlds for training: an action is held for some steps and a picture taken after the last, all in one CUDA graph."""
+"""Batched worlds for training, in which an action is repeated before a picture is rendered, all in one CUDA graph."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "
 
 
 class ActionRepeatEnv(ActionRepeat):
-    """`SocialNavTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`.
+    """`SocialNavTensors` in which an action is repeated for ``hold`` steps, as `h3data_training.ppo.Worlds`.
 
-    What a decision of a learner does is in `ActionRepeat.repeat_action` and here.
+    `ActionRepeat.repeat_action` and this class carry out a decision of a learner.
     """
 
     counts = COUNTS
@@ -43,7 +43,7 @@ class ActionRepeatEnv(ActionRepeat):
         hold: int | None = None,
         count: int | None = None,
     ) -> None:
-        """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
+        """Create ``count`` worlds (default: the number in the settings), a share of those of several processes."""
         super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.bank, self.follow_steps = bank, settings.follow_steps
         self._light: LightMode = settings.light
@@ -88,7 +88,7 @@ class ActionRepeatEnv(ActionRepeat):
         )
 
     def reset(self, *, seed: int | Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Begin an episode in all worlds, each at the place in the bank that follows from its seed, and do nothing at first."""
+        """Start an episode in all worlds, at the positions in the bank that depend on their seeds, without motion."""
         with enough_memory(self.device, self.num_envs, self.sim.task.name), torch.no_grad():
             self._begin(seed)
             self._advance()
@@ -128,7 +128,7 @@ class ActionRepeatEnv(ActionRepeat):
         ]
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return the columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that are computed from the totals, by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

@@ -1,4 +1,4 @@
-"""Entry of Habitat's episode files in the group ``h3data.episode_files``."""
+"""Entry point of Habitat's episode files in the group ``h3data.episode_files``."""
 
 from __future__ import annotations
 

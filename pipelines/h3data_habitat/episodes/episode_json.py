@@ -62,14 +62,14 @@ _BLOCK = 1000
 
 @dataclass
 class Notes:
-    """Irregularities, counted by kind, each with the first place."""
+    """Irregularities of a file, counted by kind, each with its first place."""
 
     path: Path
     strict: bool
     found: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, what: str, where: str) -> None:
-        """Count an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
+        """Count an irregularity and store its first place; with ``strict``, raise a `FormatError`."""
         if self.strict:
             raise FormatError(f"{where}: {what}: {self.path}", code="H3-HABITAT-018")
         count, first = self.found.get(what, (0, f"{where} in {self.path.name}"))
@@ -90,7 +90,7 @@ class _Draft:
 
 
 def decode_episodes(raws: Sequence[msgspec.Raw], notes: Notes) -> list[RearrangeEpisode]:
-    """Decode episodes from JSON; oddities are added to ``notes``.
+    """Decode episodes from JSON; irregularities are added to ``notes``.
 
     Raises:
         FormatError: an episode is malformed; the message names its key.
@@ -254,7 +254,7 @@ def _reworded(fault: object) -> str:
 
 
 def encode_episode(episode: RearrangeEpisode, *, where: str = "episode") -> bytes:
-    """Return the JSON object of one episode, in Habitat's order of keys; ``where`` names it in errors."""
+    """Return the JSON object of one episode with keys in Habitat's order; ``where`` names the episode in errors."""
     names = [key for key in KEYS if key not in episode.absent]
     # both would be written, and readers keep the last one
     clash = set(names) & set(episode.extra)
@@ -295,7 +295,8 @@ def encode_json(content: Any, where: str) -> bytes:
     """Encode a value as compact JSON.
 
     Raises:
-        InputError: it holds a number that is not finite, or a value that JSON does not know; the message names ``where``.
+        InputError: the value contains a number that is not finite, or a type that JSON does not support; the message
+            names ``where``.
     """
     try:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()

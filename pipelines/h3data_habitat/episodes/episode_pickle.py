@@ -19,7 +19,7 @@ from h3data_habitat.safe_pickle import builtin, load_pickle
 
 
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
-    """Return the episodes of a pickled dataset as JSON text, in the form of an unpickled one."""
+    """Return the episodes of a pickled dataset as JSON text, in the form of a JSON dataset."""
     content = load_pickle(data, path)
     if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
         keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__

@@ -1,4 +1,4 @@
-"""Episode datasets of habitat-lab, read and written: ``.json.gz``, ``.json``, sets split by scene, ``.pickle``."""
+"""Reading and writing of habitat-lab's episode datasets (``.json.gz``, ``.json``, split by scene, ``.pickle``)."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ _CONTENT_PATH = "{data_path}/content/{scene}.json.gz"
 
 
 def read_episodes(path: str | Path, *, strict: bool = False) -> EpisodeSet:
-    """Return the episodes of a dataset file; with ``strict``, what would be a warning is an error.
+    """Return the episodes of a dataset file; with ``strict``, warnings become errors.
 
-    A file without episodes beside a folder ``content`` is followed, as Habitat does (spec/habitat.md 6.5). Pickled
-    datasets are read without running anything that they contain.
+    If a file without episodes is next to a folder ``content``, the files in it are read, as Habitat does
+    (spec/habitat.md 6.5). Pickled datasets are read without running anything that they contain.
 
     Raises:
-        FormatError: it is of another kind, damaged, or a value has the wrong type; the message names episode and key.
+        FormatError: the file has another format or is damaged, or a value has the wrong type; the message names episode
+            and key.
     """
     with _collector_paused():
         return _read(Path(path), strict)
@@ -189,13 +190,13 @@ def _content_files(path: Path, extra: Mapping[str, Any]) -> list[tuple[str, Path
 
 # --- writing ------------------------------------------------------------------------------------------------------------
 def write_episodes(episode_set: EpisodeSet, path: str | Path) -> None:
-    """Write a dataset as ``.json.gz`` (what Habitat reads) or ``.json``; the same episodes give the same bytes.
+    """Write a dataset as ``.json.gz`` (which Habitat reads) or ``.json``; the same episodes give the same bytes.
 
-    A set with ``contents`` is written as it was: ``path`` without episodes, and ``content/<name>.json.gz``.
+    A set with ``contents`` keeps its structure: ``path`` without episodes, and ``content/<name>.json.gz``.
     Nothing is left at ``path`` if an episode cannot be written.
 
     Raises:
-        InputError: a matrix or a number that JSON cannot hold; the message names the episode.
+        InputError: a value is a matrix or number that JSON cannot represent; the message names the episode.
     """
     path = Path(path)
     if not path.name.endswith((".json", ".json.gz")):

@@ -1,4 +1,4 @@
-"""Objects that an episode adds to its scene, from their templates; a striped box replaces a missing one."""
+"""Objects that an episode adds to its scene, read from templates, with striped boxes for missing objects."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class ObjectSearch(NamedTuple):
     dataset: str = ""
     """Path of a ``*.scene_dataset_config.json`` whose object templates are searched first."""
     paths: tuple[str, ...] = ()
-    """Folders in Habitat's ``additional_obj_config_paths``: as they are, then below the asset folders."""
+    """Folders in Habitat's ``additional_obj_config_paths``: searched as given, then below the asset folders."""
     assets: tuple[str, ...] = ()
-    """Asset folders; empty: those of H3DATA_ASSETS."""
+    """Asset folders; empty for those of H3DATA_ASSETS."""
 
 
 class ReadObject(NamedTuple):
@@ -48,10 +48,10 @@ class ReadObject(NamedTuple):
     scale: NDArray[np.float64]
     """Scale of the object along each axis, shape [3]."""
     origin: NDArray[np.float64]
-    """Center of mass in the asset's axes, [3] [m]."""
+    """Centre of mass in the asset's frame, [3] [m]."""
     semantic_id: int
     missing: str
-    """Reason why a box replaces the object; empty if it does not."""
+    """Reason why a box replaces the object; empty if the object is available."""
 
 
 def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> ObjectSearch:
@@ -73,7 +73,7 @@ def search_in(source: SceneSource, paths: Sequence[str]) -> ObjectSearch:
 def with_objects(
     scene: Scene, objects: Sequence[EpisodeObject], search: ObjectSearch
 ) -> tuple[Scene, Mapping[str, NDArray[np.float64]]]:
-    """Return the scene with an episode's objects, and by name the center of mass [3] [m] of each in its asset's axes."""
+    """Return the scene with an episode's objects, and each object's centre of mass [3] [m] in its asset's frame."""
     own = {thing.name for thing in objects}
     taken = {i.name for i in scene.instances}
     instances = [replace(i, name=_free(i.name, own | taken)) if i.name in own else i for i in scene.instances]
@@ -114,7 +114,7 @@ def _free(name: str, taken: Container[str]) -> str:
 
 @lru_cache(maxsize=4096)
 def read_object_template(config: str, search: ObjectSearch) -> ReadObject:
-    """Return the object of a template such as ``024_bowl.object_config.json``; a box of 10 cm if it is not available."""
+    """Return the object of a template (``024_bowl.object_config.json``), or a box of 10 cm if it is not available."""
     handle = template_name(config)
     try:
         template = _find(config, search)

@@ -24,8 +24,8 @@ _LEVELS = 3
 def partnr_result(path: Path) -> dict[str, Any]:
     """Return the entry of an episode in ``processed_metrics.json``, in its folder or above; {} if there is none.
 
-    Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there,
-    and every other table that has the episode, under its own name.
+    Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they exist,
+    and every other table that contains the episode, under the table's name.
     """
     for folder in list(Path(path).absolute().parents)[: _LEVELS + 1]:
         file = folder / METRICS_FILE

@@ -22,11 +22,11 @@ from h3data.recording.task_episodes.stored_rearrangements import StoredRearrange
 def social_nav_of(recording: Recording) -> SocialNavEpisode:
     """Return the starts and waypoints of a recorded episode, to run it again with another policy.
 
-    The person's goals are taken from ``episode.info["human_goals"]`` if they are there, else from the ``new_goal``
-    events, which name them to the centimetre (``goals_within_m``).
+    The person's goals are taken from ``episode.info["human_goals"]`` if it exists, else from the ``new_goal`` events,
+    which state them to the centimetre (``goals_within_m``).
 
     Raises:
-        InputError: the recording is of another task, or does not say where they began.
+        InputError: the recording is of another task, or does not contain the starts of the agents.
     """
     info = recording.episode.info
     name = recording.episode.episode_id
@@ -109,10 +109,10 @@ def _goals(recording: Recording, human: int) -> tuple[Any, float]:
 
 
 def rearrangement_of(recording: Recording) -> StoredRearrangement:
-    """Return the objects, goals and starts of a recorded episode, to play it again with others.
+    """Return the objects, goals and starts of a recorded episode, to play it again with other policies.
 
     Raises:
-        InputError: the recording is of another task, or lacks something.
+        InputError: the recording is of another task, or lacks one of these values.
     """
     info, name = recording.episode.info, recording.episode.episode_id
     if recording.episode.task != stored_rearrangements.TASK:

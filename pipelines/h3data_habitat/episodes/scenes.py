@@ -1,4 +1,4 @@
-"""Scenes of stored episodes: a scene that can be generated again, or a file beside the episodes."""
+"""Scenes of stored episodes, which are generated again or read from a file next to the episodes."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def scene_of_episode(
 ) -> SceneSource:
     """Return the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
 
-    A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
-    home, the file is taken that the episode names: below ``folder``, the folder above it, the working directory or the
-    asset folders (default: H3DATA_ASSETS); or the dataset that lies there, when the folder of an export has been moved.
-    The other options are those of `load_habitat_scene`.
+    A generated home is built again and must have the same content. If its content differs because the generator has
+    changed, or if the scene is not a generated home, the file that the episode names is used. It is searched below
+    ``folder``, its parent folder, the working directory and the asset folders (default: H3DATA_ASSETS). If the folder
+    of an export has been moved, the dataset in it is used. The other options are those of `load_habitat_scene`.
 
     Raises:
-        SceneError: neither is there; the message says why.
+        SceneError: no scene is available; the message states the reason.
     """
     source = {} if stored is None else stored.scene_source
     home = _home(source)

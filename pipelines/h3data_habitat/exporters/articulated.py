@@ -1,4 +1,4 @@
-"""Furniture that opens as Habitat's articulated objects: a URDF, an ``ao_config``, and an entry of the scene instance.
+"""Export of opening furniture as Habitat's articulated objects (URDF, ``ao_config``, scene instance entry).
 
 All frames of the URDF have the axes of the thing (Y-up, as habitat-sim takes them), with every joint at 0; a part's frame is
 on its axis. Meshes are written in the frame of their link, scale included.
@@ -30,14 +30,14 @@ ReceptacleEntry = Callable[[Receptacle, NDArray[np.float64], str], dict[str, Any
 
 
 class ArticulatedExport:
-    """The articulated objects of one dataset: templates are written once."""
+    """Writer of the articulated objects of one dataset, which writes each template once."""
 
     def __init__(self, content: dict[str, bytes], entry: ReceptacleEntry, key: Callable[[str], str]) -> None:
-        """Files go into ``content``; ``entry`` and ``key`` write receptacles as the rest of the dataset does."""
+        """Create a writer of files in ``content``, with functions ``entry`` and ``key`` that convert receptacles."""
         self._content, self._entry, self._key = content, entry, key
 
     def members(self, scene: Scene) -> set[str]:
-        """Return the instances that become links: of the bodies and the parts of things that open."""
+        """Return the instances that become links, which are the bodies and moving parts of things that open."""
         by_name = {i.name: i for i in scene.instances}
         found = {thing.base for thing in scene.articulations if thing.base}
         moved = (name for thing in scene.articulations for part in thing.parts for name in part.instances)

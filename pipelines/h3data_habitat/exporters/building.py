@@ -1,4 +1,4 @@
-"""Building of a home for habitat-sim: its parts as nodes of a GLB, without the roof."""
+"""Export of a home's building for habitat-sim, with its parts as nodes of a GLB, without the roof."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh],
 
 
 def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
-    """Return a triangle of 0.1 mm in a lower corner of the building, as a stage needs something to render."""
+    """Return a triangle of 0.1 mm in a lower corner of the building, because a stage must have something to render."""
     corner = np.min([_world_box(scene, i)[0] for i in stage], axis=0)
     return Mesh(
         vertices=(corner + 1e-4 * np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0]])).astype(np.float32),

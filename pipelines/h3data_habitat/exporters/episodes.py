@@ -1,7 +1,7 @@
-"""Recorded rearrangement as Habitat's ``RearrangeEpisode``: a scene dataset and an episode file that habitat-lab loads.
+"""Export of recorded rearrangement as Habitat's ``RearrangeEpisode``, with a scene dataset and an episode file.
 
 The scenes hold the building and the furniture; everything that moves is an object of the episode (``rigid_objs``), as in
-Habitat's own datasets, so that nothing stands in two places.
+Habitat's own datasets, so that no object exists twice.
 """
 
 from __future__ import annotations
@@ -66,12 +66,13 @@ def write_habitat_episodes(
 ) -> WrittenEpisodes:
     """Write a folder with a scene dataset and ``episodes/rearrange.json.gz``.
 
-    Paths in the file lead through ``folder`` as it is given: Habitat finds the scenes from the working directory of the export.
+    Paths in the file start with ``folder`` as it is given, so that Habitat finds the scenes from the working directory
+    of the export.
 
     Args:
         recordings: Recordings of rearrangement; those without steps are left out.
-        folder: Must not exist, or be empty.
-        force: Replace a folder that an earlier export made.
+        folder: Output folder, which must not exist or be empty.
+        force: True replaces a folder that an earlier export made.
 
     Raises:
         InputError: there are no recordings, or one is of another task or lacks its scene or goals.

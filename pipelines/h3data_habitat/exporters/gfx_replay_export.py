@@ -1,7 +1,7 @@
-"""Recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with GLB files for bodies that have no file.
+"""Export of recordings as Habitat's gfx-replay files (spec/habitat.md 5.1), with GLB files of bodies without a file.
 
-The file holds what is drawn and nothing else: no times, names, actions or joint positions. Keyframe k is row k. Lists
-that are empty are left out, poses are written when they change, as habitat-sim does it.
+The file contains only rendered data, without times, names, actions or joint positions. Keyframe k is row k. Empty lists
+are left out, and poses are written when they change, as in habitat-sim.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from h3data_habitat.exporters.lights import replay_lights
 from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX
 
 DECIMALS = 7
-"""Number of decimals, as habitat-sim writes them; single precision holds no more."""
+"""Number of decimals that are written, as in habitat-sim; single precision has no more."""
 CAMERA_PREFIX = "sensor_"
 """Prefix that habitat-sim's replay viewer expects before a camera's name."""
 
@@ -89,8 +89,9 @@ def write_gfx_replay(
       attached scene, of robots and of people become GLB files. Paths are relative to the replay's folder: start
       habitat-sim there.
     - A body that is absent at times is deleted and created again, each time as a new instance.
-    - People drawn by a model are skinned: a rig of 55 bones; the instance has the pose of its root bone, as habitat-sim needs
-      it. The user transform `PERSON_ROOT_PREFIX` and the rig's number says where the person stands, for our importer.
+    - People rendered by a model are skinned: a rig of 55 bones; the instance has the pose of its root bone, as
+      habitat-sim needs it. The user transform `PERSON_ROOT_PREFIX` and the rig's number give the person's position for
+          h3data's importer.
     - Cameras become user transforms, ``sensor_<name>``; ``user.<name>`` columns keep their names.
 
     Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data_exporters.posing`.

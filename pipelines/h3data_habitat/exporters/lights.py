@@ -1,9 +1,10 @@
-"""Lights for habitat-sim that make its pictures of our homes similar to ours.
+"""Lights for habitat-sim with which its pictures of h3data's homes resemble those of h3data.
 
-habitat-sim's ``material`` shader has no ambient light: what no light faces is black, ceilings above all. So there is one
-directional light along each axis, both ways, as strong as our renderer's light on a surface that faces it. The shader
-works on sRGB values as they are (``map_mat_txtr_to_linear`` and ``map_output_to_srgb`` are off by default), our renderer on
-linear light, hence the power. Occlusion and the camera's headlight have no counterpart.
+habitat-sim's ``material`` shader has no ambient light, so that surfaces without a light in front of them are black,
+especially ceilings. Therefore there is one directional light in both directions of each axis, as strong as the light of
+h3data's renderer on a surface that faces it. The shader works on sRGB values as they are (``map_mat_txtr_to_linear``
+and ``map_output_to_srgb`` are off by default), h3data's renderer on linear light, so that colours are raised to a
+power. Occlusion and the camera's headlight have no counterpart.
 """
 
 from __future__ import annotations
@@ -17,14 +18,15 @@ from h3data.geometry import normalized
 from h3data.render.shade.shading import Light
 
 SHADER = "material"
-"""Value of ``shader_type`` in exports: glTF's own materials. ``phong`` has no counterpart of roughness and shows
-spots."""
+"""Value of ``shader_type`` in exports, which selects glTF's materials. ``phong`` has no counterpart of roughness and
+gives highlights.
+"""
 _GAMMA = 2.2
 _AXES = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
 
 
 def axis_lights() -> list[tuple[list[float], list[float]]]:
-    """Return the direction in which each light travels, and its sRGB colour times its intensity."""
+    """Return the direction in which each light travels, and its sRGB colour multiplied by its intensity."""
     return [([float(-v) for v in axis], color) for axis, color in zip(_AXES, _colors().round(4).tolist(), strict=True)]
 
 

@@ -1,4 +1,4 @@
-"""Homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader reads back."""
+"""Export of homes as a Habitat scene dataset, which habitat-sim and h3data's reader can load."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
 _log = logging.getLogger(__name__)
 
 STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stairs", "railing", "stage"))
-"""Categories of static instances that make up the building, Habitat's stage. All others become objects."""
+"""Categories of static instances that make up the building, which becomes Habitat's stage. All other instances become
+objects.
+"""
 
 _AGENT_HEIGHT_M, _AGENT_RADIUS_M = 1.41, 0.25
 
@@ -70,7 +72,7 @@ _MARK = "h3data.habitat_export"
 def export_habitat(scene: Scene, folder: str | Path, *, split_building: bool = False, force: bool = False) -> Path:
     """Return the path of the ``*.scene_dataset_config.json`` of a new folder with one scene in Habitat's formats.
 
-    As `export_habitat_dataset` with one scene.
+    The options are those of `export_habitat_dataset`.
     """
     return export_habitat_dataset([scene], folder, split_building=split_building, force=force)
 
@@ -91,12 +93,13 @@ def export_habitat_dataset(
     appears when it is complete.
 
     Args:
-        scenes: Their names must differ.
-        folder: Must not exist, or be empty.
-        name: Name of the dataset; by default that of its only scene, else of the folder.
-        split_building: Draw floors, walls, ceilings, windows, doors and trim as one static object each, so that they have
-            semantic ids; the stage then only collides. Habitat's stages have no ids without a semantic mesh.
-        force: Replace a folder that an earlier export made; any other is refused still.
+        scenes: Scenes to export, whose names must differ.
+        folder: Output folder, which must not exist or be empty.
+        name: Name of the dataset; by default the name of its only scene, or of the folder.
+        split_building: True exports floors, walls, ceilings, windows, doors and trim as one static object each, so that
+            they have semantic ids; the stage is then used for collisions only. Habitat's stages have no ids without a
+            semantic mesh.
+        force: True replaces a folder that an earlier export made; other folders are still refused.
     """
     if not scenes:
         raise InputError("Expected at least one scene to export.", code="H3-EXPORT-017")
@@ -114,19 +117,19 @@ def export_habitat_dataset(
 
 
 class DatasetExport:
-    """A scene dataset that is put together scene by scene; see `export_habitat_dataset`."""
+    """Builder of a scene dataset, to which scenes are added one by one; see `export_habitat_dataset`."""
 
     def __init__(self, folder: str | Path, name: str, *, split_building: bool = False, force: bool = False) -> None:
-        """Refuse a folder that holds anything, unless ``force`` and an earlier export made it."""
+        """Check that the folder is empty, or that ``force`` is True and an earlier export made it."""
         self.folder, self._force = Path(folder), force
         self.config = self.folder / f"{_file_name(name)}{DATASET_ENDING}"
         self._files = _Files(split_building)
         _refuse(self.folder, force=force)
 
     def add_scene(self, scene: Scene) -> tuple[Path, Mapping[str, str]]:
-        """Return the path of the scene instance that will be written, and Habitat's names of the scene's receptacles by ours.
+        """Add a scene; return the path of its scene instance, and Habitat's names of its receptacles by h3data's.
 
-        Scenes need different names.
+        All scenes must have different names.
         """
         handle = _file_name(scene.name)
         return self.folder / f"scenes/{handle}.scene_instance.json", _add_scene(self._files, handle, scene)

@@ -1,1 +1,1 @@
-"""gfx-replays of habitat-sim."""
+"""Reading of habitat-sim's gfx-replay files."""

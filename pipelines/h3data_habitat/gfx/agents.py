@@ -35,7 +35,7 @@ Kind = Literal["robot", "human"]
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """An agent that was recognised; ``record`` goes into the episode's info."""
+    """Recognised agent of a gfx-replay, whose ``record`` becomes part of the episode's info."""
 
     record: dict[str, Any]
     warnings: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ def add_agents(
     *,
     roots: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
-    """Find the agents of a session, robots first, with their bodies and columns and the way each was recognised.
+    """Find the agents of a session, robots first, with their bodies, columns and the method of recognition.
 
     A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows

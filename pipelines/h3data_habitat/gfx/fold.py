@@ -26,7 +26,7 @@ LIGHT_BYTES = 4 << 20
 
 @dataclass(eq=False)
 class Updates:
-    """Poses of one thing and the keyframes that wrote them: 32 bytes each, since a long file has millions of them."""
+    """Poses of one thing and the keyframes that wrote them, in 32 bytes each, because a long file has millions."""
 
     steps: array[int] = field(default_factory=lambda: array("i"))
     """Numbers of the keyframes, not decreasing."""
@@ -80,14 +80,14 @@ class Updates:
 
 @dataclass(eq=False)
 class Life:
-    """Life of an instance, from its creation to its deletion."""
+    """Lifetime of an instance, from its creation to its deletion."""
 
     key: int
     creation: Creation
     start: int
     """First keyframe in which the instance exists."""
     end: int = -1
-    """First keyframe in which it no longer exists; -1 = it stays to the end."""
+    """First keyframe in which it no longer exists; -1 if it exists to the end."""
     semantic_id: int = 0
     updates: Updates = field(default_factory=Updates)
     track: int = -1
@@ -103,7 +103,7 @@ class Life:
         return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
 
     def moves(self, steps: int) -> bool:
-        """Return whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
+        """Return whether the instance has more than one pose in ``steps`` keyframes; absence counts as a pose."""
         lasts = self.start == 0 and self.end in (-1, steps)
         return not lasts or bool(np.any(self.updates.poses() != self.first_pose()))
 
@@ -149,7 +149,7 @@ class Fold:
     """Counts of irregularities, by description."""
 
     def note(self, what: str) -> None:
-        """Count an oddity."""
+        """Count an irregularity."""
         self.counts[what] = self.counts.get(what, 0) + 1
 
 

@@ -23,7 +23,7 @@ from h3data_habitat.json_files import not_json, truncated
 from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-"""A number that fits a float32 even after a product or two."""
+"""Number that stays within the range of float32 even after a product or two."""
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
 Key = Annotated[int, msgspec.Meta(ge=0)]
@@ -155,9 +155,9 @@ class _File(msgspec.Struct):
 
 
 KEYFRAME_BYTES = 64 << 20
-"""Largest size of one keyframe, and of everything after the keyframes."""
+"""Largest size of one keyframe, and of the text after the keyframes [bytes]."""
 WHOLE_BYTES = 256 << 20
-"""Largest size of files that do not begin with their keyframes, which are read as a whole."""
+"""Largest size of files that do not start with their keyframes and are read as a whole [bytes]."""
 
 _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
 _OPENING_BYTES = 4096
@@ -172,7 +172,7 @@ class Undecodable(Exception):
     def __init__(
         self, text: bytes, fault: msgspec.DecodeError | None = None, *, keyframe: int = -1, start: int = 0
     ) -> None:
-        """Hold the text and where it stands.
+        """Store the text and its position in the file.
 
         Args:
             text: Text of a keyframe, or of the whole file.
@@ -271,7 +271,7 @@ def _decoded(text: bytes, kind: type[_Kind], keyframe: int = -1, start: int = 0)
 
 # --- faults -----------------------------------------------------------------------------------------------------------
 def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
-    """Return the error that states where and why a file is not a gfx-replay, and its probable format."""
+    """Return the error that states where and why a file is not a gfx-replay, and what its format probably is."""
     if isinstance(fault, ArrayFault):
         if str(fault) == "truncated":
             return truncated(path, fault.at)

@@ -29,8 +29,7 @@ AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]
 
 LEVEL_RAD = 2e-3
-"""Tilt above which a root is not a robot's: a base only rotates about the vertical, a person's pelvis tilts more
-[rad]."""
+"""Tilt above which a root cannot belong to a robot, whose base only rotates about the vertical axis [rad]."""
 _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("lift_arm", 0.0)}
 """Built-in model that stands in for each of Habitat's robots, and the height of its base link over the floor [m]."""
 
@@ -86,7 +85,7 @@ def add_agents(
     robot: str,
     joint_order: JointOrder | None = None,
 ) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:
-    """Find the agents of a session, with their columns and notes on which parts were recorded and which are assumed.
+    """Find the agents of a session, with columns, and notes on recorded and assumed parts.
 
     Robots are shown by a built-in model in its resting posture. People with a logged posture keep it, on the built-in
     body whose feet come nearest to the floor with it; for the others a walk is synthesised from the path of their root.
@@ -133,8 +132,8 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
 def infer_joint_order(joints: Array) -> JointOrder:
     """Return the order of joints [T, 54, 4]: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
 
-    The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much
-    (arms hang down) and jaw and eyes hardly.
+    The file does not specify the order. All rotations are relative to the T-pose, so that in the right order the
+    shoulders are rotated strongly (arms hang down), and jaw and eyes hardly.
     """
     # of rotations in either sign, over time: single postures may bend anything
     angles = np.median(2 * np.arccos(np.clip(np.abs(joints[..., 3]), 0, 1)), axis=0) if len(joints) else np.zeros(54)

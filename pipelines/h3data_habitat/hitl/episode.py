@@ -57,7 +57,7 @@ def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
 
 @dataclass(eq=False)
 class PoseTracks:
-    """Poses of many things by name, collected step by step, then as one array."""
+    """Poses of many things by name, which are collected step by step and then converted to arrays."""
 
     steps: int
     names: list[str] = field(default_factory=list)
@@ -97,9 +97,9 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
 
 
 def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """Return the track [T, ...] in which every step has the row of the latest ``known`` step [T].
+    """Extend a track to all steps [T, ...], with the row of the latest ``known`` step [T].
 
-    Steps before the first known one have the row of that one.
+    Steps before the first known step have the row of that step.
     """
     if not known.any():
         return track
@@ -168,7 +168,7 @@ def _leaves(row: Mapping[str, Any], at: str, depth: int) -> Iterable[tuple[str, 
 
 @dataclass(kw_only=True, eq=False)
 class HitlEpisode:
-    """Parts of a log in h3data's terms; `recording` assembles them."""
+    """Parts of a HITL log in h3data's terms, which `recording` assembles to a recording."""
 
     path: Path
     data: bytes

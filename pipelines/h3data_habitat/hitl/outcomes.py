@@ -46,7 +46,7 @@ def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
 def at_goal(goals: Any, tracks: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.bool_] | None, list[str]]:
     """Return ``metrics.at_goal`` [T, K] of K objects with tracks [T, 7] and logged ``goal_positions``, and warnings.
 
-    None without goals, or if they are not K points. An object without a position is not at its goal.
+    The result is None without goals, or if they are not K points. An object without a position is not at its goal.
     """
     if goals is None:
         return None, []

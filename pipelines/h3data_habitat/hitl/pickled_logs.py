@@ -1,7 +1,7 @@
 """Reading of the pickled form of paper-era HITL logs as JSON; nothing in it is executed.
 
 Such a pickle names omegaconf's containers, magnum's vectors and a few of Python's types (spec/habitat-findings.md 10).
-Stand-ins take their place, which keep what the file says.
+They are replaced by placeholders that hold the data of the file.
 """
 
 from __future__ import annotations

@@ -118,11 +118,11 @@ def read_hitl_episode(
     - Actions of users (pick, place, open, close, state_change, ...) are events; ``detail`` has the rest of each as JSON.
     - ``object_state.<name>`` int8 [T, N]: 1 yes, 0 no, -1 unknown, per object.
     - ``metrics.success`` follows from the logged progress; contacts and goals are not in the file. User ids become
-      pseudonyms (`h3data.pseudonyms`), of which ``info["participant"]`` is that of whoever drives the person.
+      pseudonyms (`h3data.pseudonyms`), of which ``info["participant"]`` is that of the user who controls the person.
 
     Args:
         path: the file.
-        assets: where the scene is searched; without it, or if it is not found, a marked floor stands in.
+        assets: where the scene is searched; without it, or if the scene is not found, a marked floor is used.
         quaternion_order: of agents and objects; habitat-lab writes xyzw. None infers it from the agents, who stand upright.
 
     Raises:

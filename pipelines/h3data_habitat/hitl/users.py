@@ -42,9 +42,10 @@ def participation(
         agent_of_user: Agent number by user index, as logged.
         people: Agent numbers of people.
 
-    ``participants`` has the pseudonym of whoever drives an agent, by its number. ``participant`` joins, with ``+``, those
-    who drive people; if nobody does, all. ``condition`` is a parameter of that name in the address of the client's page
-    (``...?user_id=7&condition=solo``), which habitat-hitl passes on in the connection record.
+    ``participants`` has the pseudonym of the user who controls each agent, by agent number. ``participant`` joins the
+    pseudonyms of users who control people by ``+``, or of all users if nobody controls a person. ``condition`` is a
+    parameter of that name in the address of the client's page (``...?user_id=7&condition=solo``), which habitat-hitl
+    passes on in the connection record.
     """
     agents = agent_of_user if isinstance(agent_of_user, Mapping) else {}
     records = [_record(user) for user in users]

@@ -1,1 +1,1 @@
-"""habitat-lab's own measures, bug for bug."""
+"""Measures of habitat-lab, reproduced including its errors."""

@@ -95,7 +95,7 @@ def social_nav_reward(
 
 
 def total_reward(reward: NDArray[np.float64], success: NDArray[np.bool_], config: HabitatConfig) -> NDArray[np.float64]:
-    """Return the learner's reward at every step [T]. Success that does not end the episode pays again in every later step."""
+    """Return the training reward at every step [T]; success that does not end the episode is rewarded repeatedly."""
     return config.slack_reward + reward + config.success_reward * success
 
 

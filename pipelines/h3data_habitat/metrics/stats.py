@@ -21,7 +21,7 @@ _HZ = 120.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HabitatTrack:
-    """The positions of one episode in Habitat's types."""
+    """Positions of one episode in Habitat's data types."""
 
     robot_pos: NDArray[np.float32]
     """Positions of the base [T, 3] [m]."""
@@ -43,7 +43,7 @@ class HabitatTrack:
         return np.sum(unit_vectors(self.robot_transform[:, [0, 2], 0]) * unit_vectors(towards), axis=1)
 
     def found(self, config: StatsConfig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return the rows with the human in reach and those with the robot facing them, each [T]; both together: found."""
+        """Return the rows with the human in reach and the rows with the robot facing them, each [T]."""
         with np.errstate(invalid="ignore"):
             in_reach = (self.geodesic >= config.min_dis_human) & (self.geodesic <= config.max_dis_human)
             return in_reach, self.facing() > config.robot_face_human_threshold

@@ -1,1 +1,1 @@
-"""Motion of Habitat's humanoids: files, the gait of its controller, its pick."""
+"""Motion of Habitat's humanoids: motion files, and the gait and pick of Habitat's controllers."""

@@ -1,8 +1,8 @@
 """Habitat's humanoid controller, frame for frame, as habitat-lab plays its motion files.
 
-Our own people walk by distance with planted feet (`h3data.bodies.people.clips`). This module is for comparison and for
-recordings that must look as in Habitat: its integer frames, its turns of at most one step, its reach by interpolation
-between stored poses (spec/habitat.md 3.4 and 3.5), and its slips (h3data docs motion lists them).
+The people of h3data walk by distance with planted feet (`h3data.bodies.people.clips`). This module is for comparison
+and for recordings that must look as in Habitat. It has Habitat's integer frames, turns of at most one step, reach by
+interpolation between stored poses (spec/habitat.md 3.4 and 3.5), and errors (h3data docs motion lists them).
 
 Frames, as in habitat-lab. The *base* has x forward, y left, z up; its origin is 0.9 m above the floor. The *root* is the
 SMPL-X pelvis frame with x left, y up, z forward. 4x4 matrices act on column vectors.
@@ -22,9 +22,9 @@ from h3data.errors import InputError
 from h3data.geometry import Array, normalized, pose_from_matrix, quat_to_matrix
 
 MIN_TURN_DEG = 5.0
-"""Angle below which a new direction is taken at once."""
+"""Angle below which a new direction is taken at once [deg]."""
 TURN_STEP_DEG = 20.0
-"""Largest turn per step, and the turn above which people do not advance, unless speeds were given."""
+"""Largest turn per step, and the turn above which people do not advance, unless speeds were given [deg]."""
 STOP_M = 1e-9
 DIRECTIONAL_STOP_M = 1e-5
 DIRECTIONAL_FPS = 30.0
@@ -134,7 +134,7 @@ class HabitatHumanoid:
         control_hz: float = CONTROL_HZ,
         joint_names: Sequence[str] = HABITAT_JOINTS,
     ) -> None:
-        """``joint_names`` says in which order the file's joint vectors are; motion files do not.
+        """Create a humanoid; ``joint_names`` is the order of the file's joint vectors, which motion files do not state.
 
         ``lin_speed`` and ``ang_speed`` are Habitat's (10 = 2.5 m/s and 2.5 rad/s at 30 steps/s); None plays 30 frames/s
         and turns 20 degrees a step."""
@@ -173,7 +173,7 @@ class HabitatHumanoid:
 
     # --- commands ---------------------------------------------------------------------------------------------------
     def stop(self) -> None:
-        """Take the standing pose, where the base is."""
+        """Take the standing pose at the current base."""
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
 
     def turn(self, target: ArrayLike) -> None:
@@ -283,7 +283,8 @@ class HabitatHumanoid:
     def reach(self, position: ArrayLike, hand: Hand = "right") -> None:
         """Move a hand to a world position [3] [m], within the range of the stored poses (spec/habitat.md 3.5).
 
-        Positions outside the grid are clamped without a word, as Habitat does; `h3data.bodies.people.reach` answers instead.
+        Positions outside the grid are clamped silently, as in Habitat; `h3data.bodies.people.reach` reports them
+        instead.
         """
         if hand not in self.motion.hands:
             known = ", ".join(self.motion.hands) or "none"
@@ -312,7 +313,7 @@ class HabitatHumanoid:
     # --- results ----------------------------------------------------------------------------------------------------
     @property
     def root(self) -> Array:
-        """The pelvis frame in the world, shape [4, 4] (habitat-sim's ``sim_obj.transformation``)."""
+        """Pelvis frame in the world, shape [4, 4] (habitat-sim's ``sim_obj.transformation``)."""
         return self.base @ np.linalg.inv(_BASE_OF_ROOT) @ self.offset
 
     def columns(self) -> tuple[Array, Array]:
@@ -376,10 +377,10 @@ def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Arra
 
     Source: ``HumanoidSeqPoseController`` (spec/habitat.md 3.3).
 
-    ``start`` [4, 4] is the base frame in which the sequence begins. The offset holds the way since then *and* the place
-    of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not start at the world's origin
-    is displaced. To place one rightly, use the offset with ``start`` at the origin below the pose of your choice. Frames
-    beyond either end are the first and last one.
+    ``start`` [4, 4] is the base frame in which the sequence begins. The offset contains the displacement since then
+    *and* the position of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not
+    start at the world's origin is displaced. To place one rightly, use the offset with ``start`` at the origin below
+    the pose of your choice. Frames beyond either end are the first and last one.
     """
     frame = int(np.clip(frame, 0, len(clip.joints) - 1))
     root = np.array(clip.roots[frame], np.float64)

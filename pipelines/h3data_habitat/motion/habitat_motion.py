@@ -21,7 +21,7 @@ def read_habitat_motion(path: str | Path) -> HabitatMotion:
     """Read the walk, standing pose and reaching poses of a motion file (spec/habitat.md 3.2). Nothing in it is executed.
 
     Raises:
-        FormatError: it is something else or damaged; a pickle asks for more than arrays.
+        FormatError: the file has another format or is damaged, or a pickle contains more than arrays.
         InputError: there is no such file.
     """
     content = _content(Path(path))

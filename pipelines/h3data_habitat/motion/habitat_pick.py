@@ -18,8 +18,9 @@ SNAP_M = 0.02
 class HabitatPick:
     """Action of habitat-lab's ``HumanoidPickAction`` (main): `step` moves the hand of a `HabitatHumanoid`.
 
-    Its slip is kept: the hand goes ``int(distance / HAND_STEP_M)`` steps, so where the remainder is `SNAP_M` or more it
-    stops short and never takes hold (8 of 14 recorded runs). Our own people pick by `h3data.bodies.people.reach`.
+    Habitat's error is reproduced: the hand goes ``int(distance / HAND_STEP_M)`` steps, so where the remainder is
+    `SNAP_M` or more it stops short and never takes hold (8 of 14 recorded runs). Our own people pick by
+    `h3data.bodies.people.reach`.
     """
 
     def __init__(self, person: HabitatHumanoid, *, step_m: float = HAND_STEP_M, snap_m: float = SNAP_M) -> None:
@@ -32,7 +33,7 @@ class HabitatPick:
         """True if the last `step` ended a pick or place."""
 
     def reset(self) -> None:
-        """Begin a new episode with the hand where it starts."""
+        """Start a new episode with the hand at its initial position."""
         self.steps = 0
         self.done = False
 
@@ -45,7 +46,8 @@ class HabitatPick:
             holding: True if the person holds something.
 
         Returns:
-            ``take``: the object is now held. ``put``: what is held is now at ``position``. None: nothing changes hands.
+            ``take`` if the object is now held, ``put`` if the held object is now at ``position``, or None if nothing
+                changes.
         """
         self.done = False
         target = np.asarray(position, np.float64)

@@ -1,4 +1,4 @@
-"""Conversion of motion of Habitat's humanoids: an entry point of the group ``h3data.motions``."""
+"""Conversion of motion of Habitat's humanoids, as an entry point of the group ``h3data.motions``."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Navigation meshes: files and queries as in habitat-sim."""
+"""Navigation meshes, with files and queries as in habitat-sim."""

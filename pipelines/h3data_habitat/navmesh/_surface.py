@@ -39,7 +39,7 @@ class Surface(NamedTuple):
     corner: NDArray[np.float64]
     """Positions of the corners (x, y, z), shape [S, 3] [m]."""
     neighbour: NDArray[np.int32]
-    """Polygon across the edge from corner s to the next, -1 at a wall, shape [S]."""
+    """Polygon across the edge from each corner to the next, -1 at a wall, shape [S]."""
     island: NDArray[np.int32]
     """Island of each polygon, shape [P]."""
     box: NDArray[np.float64]
@@ -79,7 +79,7 @@ def _cross(ax: float, az: float, bx: float, bz: float) -> float:
 
 @kernel(error_model="numpy")
 def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
-    """Return whether (x, z) is in a polygon, its border included."""
+    """Return whether a point (x, z) is in a polygon, including its border."""
     first, last = surface.start[polygon], surface.start[polygon + 1]
     ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
     for s in range(first, last):
@@ -92,7 +92,7 @@ def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
 
 @kernel(error_model="numpy")
 def height(surface: Surface, polygon: int, x: float, z: float) -> float:
-    """Return the height [m] of the ground of a polygon at (x, z), of the triangle that contains it best."""
+    """Return the height [m] of a polygon's ground at (x, z), from the triangle that contains the point best."""
     best = -np.inf
     y = surface.corner[surface.start[polygon], 1]
     triangle = surface.triangle
@@ -363,7 +363,7 @@ def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> t
 
 @kernel(error_model="numpy")
 def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> int:
-    """Return the polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
+    """Return the polygon of a point, at most ``delta`` [m] above or below and 1 cm beside it; -1 if there is none."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     if p < 0 or abs(ny - y) > delta or np.hypot(nx - x, nz - z) > 1e-2:
         return -1
@@ -372,7 +372,7 @@ def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> i
 
 @kernel(error_model="numpy")
 def island_map(surface: Surface, x0: float, z0: float, step: float, y: float, delta: float, out: NDArray) -> None:
-    """Fill int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1: none."""
+    """Fill int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1 for none."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             p = navigable(surface, x0 + j * step, y, z0 + i * step, delta)

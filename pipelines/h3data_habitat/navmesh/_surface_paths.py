@@ -11,7 +11,7 @@ from h3data.kernels import kernel
 from h3data_habitat.navmesh._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
 
 STARTS_MAX = 64
-"""Number of polygons that may meet in one point."""
+"""Largest number of polygons that may meet in one point."""
 
 
 @kernel()
@@ -220,7 +220,7 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
 
 @kernel()
 def way(surface: Surface, a: NDArray, b: NDArray) -> tuple[float, NDArray]:
-    """Return `shortest` between the points of the surface nearest to a [3] and b [3]."""
+    """Return the path of `shortest` between the points of the surface nearest to a [3] and b [3] [m]."""
     first, ax, ay, az = nearest(surface, a[0], a[1], a[2], -1)
     last, bx, by, bz = nearest(surface, b[0], b[1], b[2], -1)
     if first < 0 or last < 0:

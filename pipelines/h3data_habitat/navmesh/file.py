@@ -19,11 +19,11 @@ SET_VERSIONS = (1, 2)
 """Versions of the file that can be read; version 2, which Habitat writes, has the settings."""
 TILE_VERSION = 7
 BYTES_MAX = 1 << 30
-"""Largest size of a file; real ones have some kilobytes."""
+"""Largest size of a file [bytes]; real files have some kilobytes."""
 COORDINATE_MAX = 1e6
-"""Largest coordinate [m]; larger ones are damage, and would overflow in products."""
+"""Largest coordinate [m]; larger values indicate damage, and would overflow in products."""
 OFF_MESH = 1
-"""Type of polygons that represent a jump link; Habitat writes none."""
+"""Type of polygons that represent a jump link, which Habitat does not write."""
 EXTERNAL = 0x8000
 """Bit of a neighbour that lies in another tile."""
 EDGE_BOUNDARY = 1

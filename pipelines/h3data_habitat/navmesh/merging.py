@@ -1,4 +1,4 @@
-"""Fewer polygons for a navmesh: neighbours in one plane are joined while they stay convex, as Recast does.
+"""Reduction of a navmesh's polygons by joining neighbours in one plane while they stay convex, as Recast does.
 
 habitat-sim's ``findPath`` gives up after 256 polygons and searches at most 2,048 nodes, so a large home in thousands of
 triangles has pairs of points without a path there.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
 CORNERS_MAX = 6
-"""Number of corners of a Detour polygon (``DT_VERTS_PER_POLYGON``)."""
+"""Largest number of corners of a Detour polygon (``DT_VERTS_PER_POLYGON``)."""
 OUTLINE_M = 0.03
 """Distance by which outlines may move [m]: a corner of an obstacle is rounded by a dozen points, and Recast's voxels
 are 0.05 m wide."""

@@ -1,4 +1,4 @@
-"""A navigation mesh: convex polygons in space that share edges, as Recast bakes them, and its relation to `FreeSpace`."""
+"""Navigation mesh of convex polygons in space that share edges, as baked by Recast, and its relation to `FreeSpace`."""
 
 from __future__ import annotations
 

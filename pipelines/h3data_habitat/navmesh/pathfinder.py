@@ -86,7 +86,7 @@ class PathFinder:
 
     # --- shortest paths -------------------------------------------------------------------------------------------------
     def find_path(self, path: ShortestPath | MultiGoalShortestPath) -> bool:
-        """Fill ``points`` and ``geodesic_distance`` of the path; False, with inf and no points, if there is none."""
+        """Fill ``points`` and ``geodesic_distance`` of the path; return False if there is none."""
         several = isinstance(path, MultiGoalShortestPath)
         ends = _points(path.requested_ends) if several else _point(path.requested_end)[None]
         found = self._paths(path.requested_start, ends)
@@ -99,7 +99,7 @@ class PathFinder:
         return reached
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Return waypoints [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0: no path."""
+        """Return waypoints [k, 3] of the shortest path from start [3] to end [3], both as projected; k = 0 if none."""
         return self._paths(start, _point(end)[None])[0][1]
 
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
@@ -226,7 +226,7 @@ class PathFinder:
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:
-        """Return the area of an island [m2], of all for -1."""
+        """Return the area of an island [m2], or of all islands for -1."""
         k = self._island(island_index)
         return self.navigable_area if k < 0 else float(self.navmesh.island_areas[k])
 

@@ -1,1 +1,1 @@
-"""Scene datasets of habitat-sim: configurations, templates, instances."""
+"""Scene datasets of habitat-sim, with their configurations, templates and instances."""

@@ -1,4 +1,4 @@
-"""Habitat's articulated objects: a URDF whose links are posed by the initial joint positions."""
+"""Habitat's articulated objects, which are URDFs whose links are posed by the initial joint positions."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def pose_of_links(
 
 
 def default_positions(robot: Robot) -> NDArray[np.float64]:
-    """Return all joints at 0, spherical ones unturned, shape [J]."""
+    """Return joint positions that are all 0, with spherical joints unrotated, shape [J]."""
     positions = np.zeros(len(robot.joint_names))
     positions[robot.columns[robot.kinds == _BALL] + 3] = 1.0
     return positions

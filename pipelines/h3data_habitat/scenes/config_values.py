@@ -1,4 +1,4 @@
-"""Checked values of Habitat's JSON configs: every error names the key and the file."""
+"""Checked values of Habitat's JSON configs, with errors that name the key and the file."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def texts(attributes: Mapping[str, Any], key: str, *, where: Path) -> tuple[str,
 
 
 def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
-    """Return the text under ``key``, if there is any."""
+    """Return the text under ``key``, or None."""
     value = attributes.get(key)
     if value is not None and not isinstance(value, str):
         raise _unexpected("a text", key, value, where)

@@ -31,8 +31,8 @@ def articulation_of(
 
     The result is None if nothing moves.
 
-    Joints without a range, balls and followers by mimic are held where they are. What a closed drawer contains is out of
-    reach, and so is what lies behind a closed door.
+    Joints without a range, spherical joints and joints that mimic others do not move. What a closed drawer contains is
+    out of reach, and so is what lies behind a closed door.
 
     Args:
         name: Name of the object.

@@ -35,7 +35,7 @@ def read_receptacles(
 ) -> tuple[tuple[Receptacle, ...], list[str]]:
     """Return receptacles of one template in its asset's frame (+Y up), and warnings about those that were left out.
 
-    ``frame`` [3, 3] turns the asset file's frame to ours, ``find`` looks for the file of a mesh. As in habitat-lab
+    ``frame`` [3, 3] turns the asset file's frame to ours, ``find`` searches for the file of a mesh. As in habitat-lab
     (``receptacle.py``) entries are written in the file's frame, except meshes of a stage, which are in the world's. A
     box is a volume above a surface: its bottom gives the rectangle, its height the clearance; its ``rotation`` counts
     on stages only. A mesh gives the largest rectangle along x and z that its level triangles cover.

@@ -34,7 +34,7 @@ class ReferencedFiles:
         """Return the file that a config in ``folder`` refers to; None if it does not exist.
 
         Raises:
-            SceneError: it lies outside the folders that may be reached.
+            SceneError: the file is outside the folders that may be reached.
         """
         # made absolute without following links: what is linked into a dataset belongs to it
         tried = tuple(Path(os.path.abspath(p)) for p in dict.fromkeys((Path(name), folder / name)))

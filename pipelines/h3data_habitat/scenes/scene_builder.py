@@ -20,7 +20,7 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""Greatest distance of things from the origin [m]: 100 km, where float32 still resolves centimetres."""
+"""Largest distance of things from the origin [m], at which float32 still resolves centimetres."""
 
 
 @dataclass
@@ -39,7 +39,7 @@ class SceneBuilder:
     lights: tuple[LightSource, ...] | None = None
     articulations: list[Articulation] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
-    """Further entries of ``Scene.source``."""
+    """Additional entries of ``Scene.source``."""
     _counts: dict[str, int] = field(default_factory=dict)
 
     def warn(self, warning: str) -> None:
@@ -149,7 +149,7 @@ class SceneBuilder:
             self.articulations.append(thing)
 
     def use_navmesh(self, name: str, folder: Path, *, where: Path) -> None:
-        """Note the file of the scene's navmesh, if it exists."""
+        """Record the file of the scene's navmesh, if it exists."""
         file = self.templates.files.find(name, folder)
         if file is None:
             self.warn(f"the navmesh {name!r} does not exist: {where}")
@@ -157,7 +157,7 @@ class SceneBuilder:
             self.more["navmesh"] = str(file)
 
     def use_receptacles(self, active: Sequence[str]) -> None:
-        """Use only receptacles of these names: ``<object>|<receptacle>`` as habitat-lab writes them."""
+        """Use only receptacles with given names, ``<object>|<receptacle>`` as habitat-lab writes them."""
         names = set(active)
         for index, instance in enumerate(self.instances):
             # links are instances of their own, and the filter names the object

@@ -35,7 +35,7 @@ _NAME_DIRECTIVES = ("%%CONFIG_NAME_AS_ASSET_FILENAME%%", "%%USE_FILENAME%%")
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A kind of stage, object or scene that can be instantiated. Its file is read at its first use."""
+    """Template of a stage, object or scene that can be instantiated, whose file is read at its first use."""
 
     handle: str
     """Short name: the file's name without its ending, or the ``template_handle`` of the dataset."""

@@ -53,12 +53,12 @@ def load_habitat_scene(
     joint positions put them, as static instances ``<object>/<link>``. Regions become rooms, lighting configs
     ``Scene.lights``, and a receptacle filter decides which receptacles are in use.
 
-    Files are looked for as `ReferencedFiles` says, last below ``assets`` (default: H3DATA_ASSETS). ``Scene.source`` tells
-    what was left out or guessed (``warnings``), which keys were not read (``ignored_keys``, reasons in
-    `h3data_habitat.scenes.config_keys`), and the file of the navmesh (``navmesh``), if the scene has one.
+    Files are searched by the rules of `ReferencedFiles`, last below ``assets`` (default: H3DATA_ASSETS).
+    ``Scene.source`` states what was left out or guessed (``warnings``), which keys were not read (``ignored_keys``,
+    reasons in `h3data_habitat.scenes.config_keys`), and the file of the navmesh (``navmesh``), if the scene has one.
 
     Raises:
-        FormatError: a config is not of the form that it should have; key and file are named.
+        FormatError: a config has the wrong form; the message names key and file.
         MissingAssetError: files do not exist, unless ``allow_missing`` leaves out their instances with a warning.
         SceneError: there is no such scene, or its stage cannot be used; with ``strict`` also any warning.
     """

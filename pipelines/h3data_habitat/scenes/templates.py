@@ -33,7 +33,7 @@ _Z_UP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rigid:
-    """A stage or object template that has been read."""
+    """Stage or object template that has been read."""
 
     asset: str
     attributes: Mapping[str, Any]
@@ -42,10 +42,10 @@ class Rigid:
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """True if this origin scales with the object: always, unless the config gives the origin."""
+    """True if Habitat's origin scales with the object, which is the case unless the config gives the origin."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
+        """Return Habitat's origin of an object of a given size, in the asset's axes, shape [3] [m]."""
         return self.middle * scale if self.middle_scales else self.middle
 
 
@@ -74,7 +74,7 @@ class _Frame:
 
 @dataclass
 class TemplateReader:
-    """Reader that reads each template once."""
+    """Reader of templates, which reads each template once."""
 
     files: ReferencedFiles
     keys: KeyNotes
@@ -88,11 +88,11 @@ class TemplateReader:
     _alive: list[Template] = field(default_factory=list)
 
     def stage(self, template: Template) -> Rigid | None:
-        """Return the stage; None if its mesh is missing."""
+        """Return the stage, or None if its mesh is missing."""
         return self._rigid(template, stage=True)
 
     def rigid(self, template: Template) -> Rigid | None:
-        """Return the object; None, with a warning or an entry among the missing files, if it cannot be used."""
+        """Return a rigid object, or None with a warning or an entry in ``missing`` if it cannot be used."""
         read = self._once(template)
         return read if isinstance(read, Rigid) else None
 
@@ -248,7 +248,7 @@ class TemplateReader:
         return name
 
     def hidden(self, asset: str) -> str:
-        """Return an asset with the same shapes that is not drawn."""
+        """Return an asset with the same collision shapes that is not rendered."""
         name = f"{asset}~hidden"
         self.assets.setdefault(name, replace(self.assets[asset], name=name, mesh=empty_mesh()))
         return name

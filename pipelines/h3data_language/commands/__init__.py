@@ -1,1 +1,1 @@
-"""Command ``h3data language``: the templates of tasks in words, and the verification of tasks."""
+"""Command ``h3data language``, which lists templates of tasks in words and verifies tasks."""

@@ -19,7 +19,7 @@ from h3data.terminal import aligned, counted
 
 @dataclass(frozen=True, kw_only=True)
 class LanguageTemplates:
-    """List the templates of tasks in words, with their types and their first wordings.
+    """List the templates of tasks in words, with the type and first wording of each.
 
     Examples:
         h3data language templates
@@ -42,13 +42,13 @@ class LanguageTemplates:
 
 @dataclass(frozen=True, kw_only=True)
 class LanguageVerify:
-    """Sample tasks in words and play each: a person alone, then a robot and a person.
+    """Sample tasks in words, and play each by a person alone, then by a robot and a person.
 
     Tasks are those of `h3data generate language` with the same scenes and seed. An episode that cannot be sampled, or that the
     expert does not complete, is skipped, and the next of its home takes its place; the lines `[skipped.language]` make a scene
-    set skip it too (h3data docs scene-sets). The digest is that of the identities of all tasks. With -o, results are saved as
-    they come, and the same command continues after an interruption. The second example has the tasks of the benchmark
-    h3-language@1.
+    set skip it too (h3data docs scene-sets). The table has a digest of the identities of all tasks. With -o, results
+    are saved as they come, and the same command continues after an interruption. The second example has the tasks of
+    the benchmark h3-language@1.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20
@@ -56,7 +56,7 @@ class LanguageVerify:
     """
 
     scenes: str = "h3-homes/val"
-    """Homes, as in generate."""
+    """Homes, named as for h3data generate."""
     episodes: int = 20
     """Number of tasks."""
     seed: int = 0
@@ -124,9 +124,9 @@ class LanguageVerify:
 class LanguageAttach:
     """Give imported sessions of PARTNR's tool the propositions of their episodes, so that h3data metrics evaluates them.
 
-    A session names its episode, and the file of episodes has the rest; scenes and objects are searched as for
-    h3data generate --episodes-file. The recordings are written anew, with the profile `partnr`. A session without an episode in
-    the file, or in a scene that is not there, is listed with the reason.
+    A session names its episode, and the file of episodes has the rest; scenes and objects are searched for as for
+    h3data generate --episodes-file. The recordings are written anew, with the profile `partnr`. A session without an
+    episode in the file, or in a scene that is not there, is listed with the reason.
 
     Examples:
         h3data import hitl_data/ -o rec/
@@ -148,7 +148,7 @@ class LanguageAttach:
     def run(self) -> Outcome:
         """Attach the tasks and return a row for each reason why recordings were left out.
 
-        The exit code is 1 if some are left out, and 2 if all are.
+        The exit code is 1 if some recordings are left out, and 2 if all are.
         """
         from h3data.commands.command import claim_file
         from h3data.recording import write_mcap

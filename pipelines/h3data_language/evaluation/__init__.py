@@ -1,1 +1,1 @@
-"""Evaluation of propositions from recordings: PARTNR's percent complete, success and their explanation."""
+"""Evaluation of propositions from recordings, with PARTNR's percent complete, success and their explanation."""

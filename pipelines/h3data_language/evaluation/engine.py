@@ -1,7 +1,7 @@
-"""Evaluation of propositions over the rows of a recording: when each was satisfied, and which constraints admit it.
+"""Evaluation of when propositions were satisfied in a recording, and which constraints admit them.
 
-Dependencies look at the rows before, constraints at the rows in which propositions were first true; both follow PARTNR
-(Chang et al. 2024, section 3 and appendix).
+Dependencies are conditions on earlier rows, and constraints on the rows in which propositions were first true; both
+follow PARTNR (Chang et al. 2024, section 3 and appendix).
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Verdict:
     satisfied_at: NDArray[np.int64]
     """Row in which each proposition was first satisfied; -1 = never, [P]."""
     admitted: Flags
-    """Propositions that each constraint admits, [C, P]."""
+    """True for propositions that each constraint admits, bool [C, P]."""
     satisfied: Flags
-    """Propositions that are satisfied in each row, [T, P]."""
+    """True for propositions that are satisfied in each row, bool [T, P]."""
 
     @property
     def complete(self) -> Flags:
-        """Propositions that count as completed, [P]."""
+        """True for propositions that count as completed, bool [P]."""
         return (self.satisfied_at >= 0) & self.admitted.all(0)
 
     @property
@@ -50,7 +50,7 @@ class Verdict:
 
     @property
     def explanation(self) -> str:
-        """A sentence on each proposition that is not completed; empty if all are."""
+        """Sentences about the propositions that are not completed; empty if all are completed."""
         lines = []
         for k, p in enumerate(self.evaluation.propositions):
             if self.satisfied_at[k] < 0:
@@ -70,7 +70,7 @@ _REASONS = {
 
 
 def describe(p: Proposition) -> str:
-    """Return a proposition in short words: ``is on top (1 of mug_0, mug_1; table_0)``."""
+    """Return a short description of a proposition, such as ``is on top (1 of mug_0, mug_1; table_0)``."""
     things = "; ".join(", ".join(names) for names in p.things)
     count = f"{p.number} of " if len(p.things[0]) > 1 and isinstance(p.number, int) else ""
     return f"{p.function_name.replace('_', ' ')} ({count}{things})"
@@ -80,7 +80,7 @@ def rows_of(recording: Recording, layout: Layout, *, bugs: bool = False) -> Rows
     """Return the rows of a recording that propositions are about.
 
     Raises:
-        InputError: it lacks poses of things, or has some of other things.
+        InputError: the recording lacks poses of things, or has poses of other things.
     """
     poses = recording.columns.get("object_pose")
     if poses is None or poses.shape[1:] != (len(layout.things), 7):

@@ -1,6 +1,6 @@
-"""Geometry for propositions: boxes of things, surfaces of furniture, rooms; as JSON in a recording's info.
+"""Geometry for propositions (boxes of things, surfaces and rooms), stored as JSON in a recording's info.
 
-With it, nothing but columns of the recording is needed for an evaluation: neither the scene nor the simulator.
+With the layout and the columns of the recording, an evaluation needs neither the scene nor the simulator.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 
 
 class ThingBox(msgspec.Struct, frozen=True):
-    """A movable thing: its box, and the place of its pose in a recording."""
+    """Movable thing, with its box and the index of its pose in a recording."""
 
     body: int
     """Index of the thing's body, as in ``agent_<i>.grasp_body``."""
@@ -33,22 +33,22 @@ class ThingBox(msgspec.Struct, frozen=True):
 
 
 class Surface(msgspec.Struct, frozen=True):
-    """A rectangle on which things can be placed."""
+    """Rectangle on which things can be placed."""
 
     center: Vector
-    """Center in the world [m]."""
+    """Centre of the surface in the world [m]."""
     half: tuple[float, float]
-    """Half extents along its own x and z [m]."""
+    """Half extents along the surface's own x and z axes [m]."""
     heading: float
     """Heading of the surface: its rotation about +Y [rad]."""
     clearance: float
-    """Free height above it [m]."""
+    """Free height above the surface [m]."""
     inside: bool = False
     """True if the surface is in a drawer or behind a door of the furniture."""
 
 
 class FurnitureBox(msgspec.Struct, frozen=True):
-    """A piece of furniture: its box in the world, and its surfaces."""
+    """Piece of furniture, with its box in the world and its surfaces."""
 
     center: Vector
     half: Vector
@@ -62,7 +62,7 @@ class Layout(msgspec.Struct, frozen=True):
     """Things of the home, in the order of ``object_pose``."""
     furniture: dict[str, FurnitureBox]
     rooms: dict[str, tuple[tuple[float, float, float, float], ...]]
-    """Rectangles ``x0 z0 x1 z1`` of each room [m]."""
+    """Rectangles ``x0 z0 x1 z1`` that make up each room [m]."""
     floor_y: float = 0.0
 
     @classmethod
@@ -136,7 +136,7 @@ class Layout(msgspec.Struct, frozen=True):
         return cls(boxes, furniture, rooms, float(floor_y))
 
     def require(self, name: str, *kinds: str) -> None:
-        """Raise an `InputError` if nothing of these kinds (``things``, ``furniture``, ``rooms``) has the name."""
+        """Raise an `InputError` if none of the given kinds (``things``, ``furniture``, ``rooms``) has the name."""
         known = [each for kind in kinds for each in getattr(self, kind)]
         if name not in known:
             raise InputError(
@@ -146,7 +146,7 @@ class Layout(msgspec.Struct, frozen=True):
 
 
 def owner_of(scene: Scene, name: str) -> str:
-    """Return the thing that a part belongs to: the cabinet of a drawer, or Habitat's articulated object of a link."""
+    """Return the thing to which a part belongs, such as the cabinet of a drawer or the articulated object of a link."""
     for thing in scene.articulations:
         if any(name in part.instances for part in thing.parts):
             name = thing.base or thing.name

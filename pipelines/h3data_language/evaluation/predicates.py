@@ -1,8 +1,8 @@
-"""Predicates of PARTNR over all rows of a recording at once: which things are at which places.
+"""Predicates of PARTNR that state which things are at which places, over all rows of a recording at once.
 
-By default a thing is at a place if its center is over it, it stands on it, and nobody holds it. With ``bugs``, the predicates
-are those of PARTNR's code as far as boxes and rectangles tell: a thing is on all furniture below any of its corners, whatever
-its height, and also while somebody carries it.
+By default a thing is at a place if its centre is over the place, the thing stands on it, and nobody holds the thing.
+With ``bugs``, the predicates are those of PARTNR's code as far as boxes and rectangles determine them: a thing is on
+all furniture below any of its corners, at any height, even while an agent carries it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ from h3data_language.evaluation.records import NEXT_TO_M, STATES, Proposition
 
 Flags = NDArray[np.bool_]
 SINKS_M, RISES_M = 0.03, 0.12
-"""Distances below and above a surface within which the lowest point of a thing on it must be [m]: a plate may lie
-between."""
+"""Distances below and above a surface within which the lowest point of a thing on it must be [m]; a plate may lie
+between them.
+"""
 FLOOR_M = 0.09
 """Largest height of the lowest point of a thing on the floor [m]."""
 IN_ROOM = 0.25
 """Share of the corners and the center of a thing that must be in a room for the thing to be in it."""
 PADDING_M = 0.1
-"""Height that is added to things: they are next to each other if their heights then overlap [m]."""
+"""Height that is added to things to decide whether their height ranges overlap, so that they are next to each other
+[m].
+"""
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)] + [[0, 0, 0]], np.float64)
 
 
@@ -39,7 +42,7 @@ class Rows:
     poses: NDArray[np.floating]
     """Pose (pose7) of each thing [T, K, 7]."""
     held: Flags
-    """True if somebody holds the thing [T, K]."""
+    """True if an agent holds the thing, bool [T, K]."""
     states: Mapping[str, Flags] = field(default_factory=dict)
     """States ``clean``, ``filled`` and ``powered`` of each thing [T, K]; missing ones are false throughout."""
     bugs: bool = False
@@ -49,7 +52,7 @@ class Rows:
     def distinct(self) -> tuple[Rows, NDArray[np.intp]]:
         """Return the rows in which something may become true or false, and which of them represents each row [T].
 
-        A thing in somebody's hand is nowhere, so that its poses do not matter until it is put down.
+        A thing in an agent's hand is at no place, so that its poses are ignored until it is put down.
         """
         same = (self.poses[1:] == self.poses[:-1]).all(2)
         if not self.bugs:
@@ -61,7 +64,7 @@ class Rows:
         return replace(self, poses=self.poses[new], held=self.held[new], states=states), np.cumsum(new) - 1
 
     def box(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return center and half extents [T or 1, 3] of the box around a thing or piece of furniture, along the world axes."""
+        """Return centre and half extents [T or 1, 3] [m] of the box around a thing or furniture in world axes."""
         if name not in self._boxes:
             fixed = self.layout.furniture.get(name)
             if fixed is not None:
@@ -74,7 +77,7 @@ class Rows:
         return self._boxes[name]
 
     def corners(self, name: str) -> NDArray[np.float64]:
-        """Return the corners and center of a thing's box in the world [T, 9, 3]."""
+        """Return the corners and centre of a thing's box in the world [T, 9, 3] [m]."""
         center, half = self.box(name)
         return center[:, None] + _CORNERS * half[:, None]
 
@@ -100,7 +103,7 @@ class Rows:
 
 
 def pairs_of(p: Proposition, rows: Rows) -> Flags:
-    """Find the things of the first list that are at things of the second by a proposition, [T, A, B]; B = 1 without a second.
+    """Return which things of the first list are at things of the second list by a proposition, bool [T, A, B].
 
     Raises:
         InputError: a thing, a piece of furniture or a room does not exist.
@@ -165,7 +168,7 @@ def _is_over(surface: Surface, points: NDArray[np.float64]) -> Flags:
 
 
 def next_to(center: NDArray, half: NDArray, other: NDArray, other_half: NDArray, within_m: float) -> Flags:
-    """Return rows in which two boxes, centers and half extents [T or 1, 3], overlap in height and are near each other [T]."""
+    """Return rows in which two boxes, centers and half extents [T or 1, 3], overlap in height and are close [T]."""
     apart = other - center
     high = np.abs(apart[:, 1]) <= half[:, 1] + other_half[:, 1] + PADDING_M
     flat, sizes = apart[:, [0, 2]], (half + other_half)[:, [0, 2]]
@@ -176,12 +179,12 @@ def next_to(center: NDArray, half: NDArray, other: NDArray, other_half: NDArray,
 
 
 def members_of(p: Proposition) -> list[str]:
-    """Return all N names in a proposition about a cluster."""
+    """Return all N names in a proposition about a cluster of things."""
     return list(dict.fromkeys(name for group in p.things for name in group))
 
 
 def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Return rows in which some group of neighbouring things has enough of each list [T], and the largest such group [T, N].
+    """Return rows [T] in which a group of neighbouring things has enough of each list, and the largest group [T, N].
 
     Raises:
         InputError: a thing does not exist.
@@ -207,11 +210,7 @@ def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
 
 
 def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Return rows in which a proposition is true [T], and the pairs behind it as in `pairs_of`, or the members of the cluster.
-
-    Raises:
-        InputError: a name in it does not exist in the home.
-    """
+    """Return rows in which a proposition is true [T], and the pairs (`pairs_of`) or cluster members behind it."""
     if p.function_name == "is_clustered":
         return clustered(p, rows)
     pairs = pairs_of(p, rows)
@@ -222,10 +221,10 @@ def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
 
 
 def check_names(propositions: Sequence[Proposition], layout: Layout) -> None:
-    """Check that all that propositions name exists.
+    """Check that everything that propositions name exists.
 
     Raises:
-        InputError: something does not.
+        InputError: a name does not exist.
     """
     kinds = {"is_next_to": ("things", "furniture"), "is_clustered": ("things", "furniture")}
     second = {"is_in_room": ("rooms",), "is_on_top": ("furniture",), "is_inside": ("furniture",)}

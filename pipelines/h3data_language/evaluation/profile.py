@@ -1,12 +1,12 @@
-"""Profile ``partnr``: percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
+"""Profile ``partnr`` with percent complete, success, steps, offloading and extraneous effort of PARTNR's tasks.
 
-Of a recording with propositions (`h3data_language.evaluation.records`) and the layout of its home, it finds by itself when
-each was satisfied. Other recordings hold what the evaluator of their simulator found: ``info["satisfied_at"]``, for each of P
-propositions the row in which it first held, -1 = never; ``info["constraints"]``, C lists of P flags, whether each constraint
-admits each proposition (absent: no constraints); events of kind ``progress`` (an agent's action made a proposition true) and
-``place`` (an agent put something down).
+For a recording with propositions (`h3data_language.evaluation.records`) and the layout of its home, the profile
+evaluates when each proposition was satisfied. Other recordings contain results of their simulator's evaluator:
+``info["satisfied_at"]``, for each of P propositions the row in which it first held, -1 = never;
+``info["constraints"]``, C lists of P flags, whether each constraint admits each proposition (absent: no constraints);
+events of kind ``progress`` (an agent's action made a proposition true) and ``place`` (an agent put something down).
 
-``partnr@habitat`` evaluates propositions as PARTNR's code does, its faults included.
+``partnr@habitat`` evaluates propositions as PARTNR's code does, including its faults.
 """
 
 from __future__ import annotations
@@ -135,11 +135,11 @@ class Progress(NamedTuple):
     satisfied_at: NDArray[np.int64]
     """Row in which each proposition was first satisfied; -1 = never, [P]."""
     admitted: NDArray[np.bool_]
-    """Propositions that each constraint admits, [C, P]."""
+    """True for propositions that each constraint admits, bool [C, P]."""
     events: list[Event]
-    """Events ``progress``."""
+    """Events of the kind ``progress``."""
     explanation: str = ""
-    """Sentences on the propositions that are not completed, if they were evaluated here."""
+    """Sentences about the propositions that are not completed, if h3data evaluated them."""
 
 
 def progress_of(recording: Recording, *, bugs: bool = False) -> Progress:
@@ -166,7 +166,7 @@ def verdict_of(recording: Recording, *, bugs: bool = False) -> Verdict:
     """Evaluate the propositions of a recording that has them and the layout of its home.
 
     Raises:
-        InputError: they are malformed, or name what does not exist.
+        InputError: propositions are malformed, or name things that do not exist.
     """
     info = recording.episode.info
     return evaluate(Evaluation.of(info, bugs=bugs), rows_of(recording, Layout.of_info(info), bugs=bugs))
@@ -193,7 +193,7 @@ def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric,
 
     Raises:
         MissingColumnsError: there are neither propositions nor stored results.
-        UnmeasurableError: they are malformed, or name what does not exist.
+        UnmeasurableError: propositions are malformed, or name things that do not exist.
     """
     if not len(recording):  # the place of an episode that failed
         notes.add((m.name for m in metrics), "the recording has no rows")
@@ -227,7 +227,7 @@ def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric,
 
 
 def percent_complete(satisfied_at: NDArray[np.int64], constraints: NDArray[np.bool_]) -> float:
-    """Return the share of the propositions [P] that held and that all constraints [C, P] admit; 0 without propositions."""
+    """Return the share of propositions [P] that were true and that all constraints [C, P] admit; 0 without any."""
     return float(((satisfied_at != -1) & constraints.all(axis=0)).mean()) if len(satisfied_at) else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Propositions, dependencies and constraints in PARTNR's own JSON, checked, with counted propositions unrolled.
+"""Checked propositions, dependencies and constraints in PARTNR's JSON, with counted propositions unrolled.
 
 A recording carries them in its info, under the names of PARTNR's episode files: ``evaluation_propositions``,
 ``evaluation_proposition_dependencies`` and ``evaluation_constraints`` (Chang et al. 2024, 2411.00081).
@@ -47,7 +47,7 @@ NEXT_TO_M = 0.5
 
 
 class Proposition(msgspec.Struct, frozen=True):
-    """A predicate of the home with its arguments; it is true if it holds for any thing of each list."""
+    """Predicate with arguments, which is true if it holds for any thing of each list."""
 
     function_name: str
     args: dict[str, Any] = {}
@@ -66,12 +66,12 @@ class Proposition(msgspec.Struct, frozen=True):
 
     @property
     def is_same(self) -> bool:
-        """Return whether all these things have to be at the same thing of the second list."""
+        """Return whether all things of the first list have to be at the same thing of the second list."""
         return bool(self.args.get(_SAME.get(self.function_name, ""), False))
 
 
 class Dependency(msgspec.Struct, frozen=True):
-    """A condition on earlier rows without which propositions are not evaluated."""
+    """Condition on earlier rows without which propositions are not evaluated."""
 
     proposition_indices: list[int]
     depends_on: list[int]
@@ -80,25 +80,25 @@ class Dependency(msgspec.Struct, frozen=True):
 
 
 class Constraint(msgspec.Struct, frozen=True):
-    """A condition on the rows in which propositions were first true."""
+    """Condition on the rows in which propositions were first true."""
 
     type: Literal["TemporalConstraint", "TerminalSatisfactionConstraint", "SameArgConstraint", "DifferentArgConstraint"]
     args: dict[str, Any] = {}
 
     @property
     def edges(self) -> list[list[int]]:
-        """Pairs (earlier, later) of a temporal constraint."""
+        """Pairs (earlier, later) of propositions in a temporal constraint."""
         return self.args.get("dag_edges", [])
 
     @property
     def indices(self) -> list[int]:
-        """Propositions of the other constraints."""
+        """Propositions in a constraint that is not temporal."""
         return self.args.get("proposition_indices", [])
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The propositions of an episode with their dependencies and constraints, each proposition asking for one count."""
+    """Propositions of an episode with dependencies and constraints, each proposition about one count of things."""
 
     propositions: tuple[Proposition, ...]
     dependencies: tuple[Dependency, ...] = ()
@@ -112,10 +112,10 @@ class Evaluation:
 
         Args:
             info: Info of a recording, or an episode of PARTNR's files.
-            bugs: Renumber dependencies as PARTNR's code does, by the count instead of the place in the list.
+            bugs: Renumber dependencies as PARTNR's code does, by the count instead of the position in the list.
 
         Raises:
-            InputError: they are malformed, name propositions that do not exist, or ask for an order in a circle.
+            InputError: entries are malformed, name propositions that do not exist, or require a circular order.
         """
         try:
             propositions = msgspec.convert(info.get(PROPOSITIONS) or [], list[Proposition])

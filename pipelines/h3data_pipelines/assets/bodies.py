@@ -18,7 +18,7 @@ HEADINGS_DEG = {"front": -90.0, "back": 90.0, "side": 0.0}
 
 @dataclass(frozen=True)
 class BodiesShow:
-    """Render people standing, walking or reaching. Without -o, only list them.
+    """Render people standing, walking or reaching. Without -o, the bodies are only listed.
 
     Examples:
         h3data bodies show
@@ -36,12 +36,13 @@ class BodiesShow:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
     view: Literal["front", "back", "side", "face", "walk", "reach"] = "front"
-    """Direction of view; or face: heads only; or walk: one gait cycle from the right; or reach: reaching poses, and the
-    first body picking up and placing a mug."""
+    """Direction of view, or one of: face (heads only); walk (one gait cycle from the right); reach (reaching poses,
+    and the first body picking up and placing a mug).
+    """
     outfit: str | None = None
-    """Clothes that everybody wears instead of their own clothes: casual, smart, knit, sport, pyjamas, dress or summer."""
+    """Clothes that all bodies wear instead of their own: casual, smart, knit, sport, pyjamas, dress or summer."""
     outfits: bool = False
-    """Show everybody in every outfit, a row each."""
+    """Show every body in every outfit, with one row for each body."""
     speed: float = 1.3
     """Walking speed for --view walk [m/s]."""
     low_detail: bool = False
@@ -122,7 +123,7 @@ class BodiesBake:
     gender: float = 0.5
     """Gender from 0 (male) to 1 (female)."""
     age: float = 0.67
-    """0.3 (child), 0.67 (young adult) to 1 (old)."""
+    """Age from 0.3 (child) and 0.67 (young adult) to 1 (old)."""
     stature: float = 1.70
     """Standing height [m]."""
     weight: float = 0.45
@@ -130,23 +131,23 @@ class BodiesBake:
     muscle: float = 0.5
     """Muscularity from 0 to 1."""
     african: float = 0.0
-    """Share of African features; what --african and --asian leave is Caucasian."""
+    """Share of African features; the share that --african and --asian leave is Caucasian."""
     asian: float = 0.0
     """Share of Asian features."""
     skin: str = "200,150,118"
-    """Skin colour (sRGB)."""
+    """Skin colour as R,G,B from 0 to 255 (sRGB)."""
     hair: str = "60,44,34"
-    """Colour of the hair (sRGB)."""
+    """Hair colour as R,G,B from 0 to 255 (sRGB)."""
     hairstyle: Literal[
         "crop", "short", "swept", "tousled", "bob", "long", "tail", "bun", "curls", "waves", "receding", "scarf"
     ] = "short"
     """Cut of the hair, or a headscarf over it."""
     beard: bool = False
-    """A short full beard."""
+    """Give the person a short full beard."""
     outfit: Literal["casual", "smart", "knit", "sport", "pyjamas", "dress", "summer"] = "casual"
-    """Clothes; any other outfit can be named later: me.npz:dress."""
+    """Clothes; the baked body can be used with any other outfit later, as me.npz:dress."""
     palette: int = 0
-    """Number of the set of colours of the outfit."""
+    """Number of the outfit's colour palette."""
     smplx: Path | None = None
     """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); of the options above, only --skin applies to it."""
     betas: tuple[float, ...] = ()

@@ -1,4 +1,4 @@
-"""Contact sheets of people: standing in rows, their heads, or one walking."""
+"""Contact sheets of people who stand in rows or walk, and of their heads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FACE_HFOV_DEG, FACE_DISTANCE_M, FACE_TURN_DEG = 11.0, 2.0, 14.0
 def sheet_picture(
     people: Sequence[Humanoid], *, heading_deg: float = -90.0, lod: bool = False, columns: int = 6, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """Render people in rows of ``columns``, RGB [H, W, 3]; at heading -90 degrees they face the camera."""
+    """Render people in rows of ``columns`` as RGB [H, W, 3]; at a heading of -90 degrees they face the camera."""
     rows = [people[k : k + columns] for k in range(0, len(people), columns)]
     heading, places = float(np.radians(heading_deg)), min(columns, len(people))
     standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
@@ -31,7 +31,7 @@ def sheet_picture(
 def face_picture(
     people: Sequence[Humanoid], *, lod: bool = False, columns: int = 6, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """Render heads from the front and a little from the side, in rows of ``columns``, RGB [H, W, 3]."""
+    """Render heads from the front and a little from the side, in rows of ``columns``, as RGB [H, W, 3]."""
     size = width // min(columns, len(people))
     turn = np.radians(FACE_TURN_DEG)
     pictures = []
@@ -54,7 +54,7 @@ def face_picture(
 def walk_picture(
     body: Humanoid, speed_mps: float, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """Render phases of one walking cycle at a speed, from left to right, seen from the right, RGB [H, W, 3]."""
+    """Render phases of one walking cycle at a speed, from left to right, seen from the right, as RGB [H, W, 3]."""
     phase = np.arange(frames) / frames
     quats, pelvis = body.walk_pose(np.full(frames, speed_mps), phase)
     poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(frames)]

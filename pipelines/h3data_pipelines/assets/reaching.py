@@ -38,7 +38,7 @@ BALL_M, BALL = 0.032, (206, 58, 48)
 TABLE, MUG = (176, 138, 96), (206, 58, 48)
 MUG_SIZE_M, TABLE_SIZE_M = (0.036, 0.09), (0.30, 0.03, 0.40)
 TABLES = ((0.36, 0.36, 0.12), (0.36, 0.66, 0.12))
-"""Positions of the mug before and after carrying, as in `TARGETS`."""
+"""Positions of the mug before and after carrying, in the frame and units of `TARGETS`."""
 
 
 def reach_picture(people: Sequence[Humanoid], *, lod: bool = False, width: int = 1600) -> NDArray[np.uint8]:
@@ -59,7 +59,7 @@ def _reaching_row(body: Humanoid, hand: Hand, lod: bool, width: int) -> NDArray[
 
 
 def carrying(body: Humanoid, *, hand: Hand = "right", lod: bool = False, width: int = 1600) -> NDArray[np.uint8]:
-    """Render a person taking a mug from a low table and carrying it to a higher one, as RGB [H, W, 3]."""
+    """Render a person who takes a mug from a low table and carries it to a higher one, as RGB [H, W, 3]."""
     person = Person(body, ground_pose([0.0, 0.0], 0.0))
     mug = _in_root_frame(body, hand, TABLES[0])
     person.objects["mug"] = np.concatenate([mug, [0, 0, 0, 1.0]])

@@ -1,4 +1,4 @@
-"""Command ``h3data robots``: the available robots, their appearance, and the reach of their hands."""
+"""Command ``h3data robots``, which lists and renders robots and computes the reach of their hands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UpChoice = Annotated[
 
 @dataclass(frozen=True)
 class RobotsShow:
-    """Render robots from several sides, at rest and with the hand moving around a circle. Without -o only list them.
+    """Render robots from several sides, at rest and with the hand on a circle; without -o, only list them.
 
     Examples:
         h3data robots show
@@ -36,11 +36,11 @@ class RobotsShow:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names of robots, or .urdf files; nothing means all robots with a name."""
+    """Names of robots, or .urdf files (default: all built-in robots)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
     views: int = 6
-    """Number of views, all around."""
+    """Number of views at equally spaced headings."""
     width: int = 1600
     """Width of the picture [pixels]."""
     up: UpChoice = "z"
@@ -82,9 +82,10 @@ class RobotsShow:
 
 @dataclass(frozen=True)
 class RobotsReach:
-    """Find joint positions that bring a robot's hand, or a link, to a point in its root frame (x forward, y up, z right) [m].
+    """Find joint positions that bring a robot's hand or a link to a point.
 
-    Exit code 1 if the point is out of reach; the nearest posture is then shown.
+    The point is in the robot's root frame (x forward, y up, z right) [m]. The exit code is 1 if the point is out of
+    reach; then the nearest posture is printed.
 
     Examples:
         h3data robots reach quad_arm 0.8 0.5 0.1
@@ -95,9 +96,9 @@ class RobotsReach:
     name: tyro.conf.Positional[str]
     """Built-in robot or .urdf file."""
     point: tyro.conf.Positional[tuple[float, float, float]]
-    """Point to reach."""
+    """Point to reach, x y z in the robot's root frame [m]."""
     link: str = ""
-    """Link whose origin goes there; empty: the robot's hand, at the place where it holds things."""
+    """Link whose origin is moved to the point (default: the robot's hand, at the point where it holds things)."""
     up: UpChoice = "z"
     json: JsonFlag = False
 
@@ -125,9 +126,9 @@ class RobotsReach:
 
 @dataclass(frozen=True)
 class RobotsInit:
-    """Write a robot.toml for a URDF, to be edited: guesses about its base, arm, hand, cameras and posture.
+    """Write a robot.toml for a URDF with guesses about its base, arm, hand, cameras and posture, which you can edit.
 
-    Put beside the URDF, the file is used from then on; h3data docs robots explains its fields.
+    A robot.toml next to the URDF is used whenever the URDF is loaded. h3data docs robots explains its fields.
 
     Examples:
         h3data robots init fetch.urdf
@@ -137,7 +138,7 @@ class RobotsInit:
     urdf: tyro.conf.Positional[Path]
     """The .urdf file."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """File to write (default: robot.toml beside the URDF)."""
+    """File to write (default: robot.toml next to the URDF)."""
     up: UpChoice = "z"
     force: ForceFlag = False
     json: JsonFlag = False
@@ -202,7 +203,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def encode_settings(settings: RobotSettings) -> str:
-    """Return the text of a ``robot.toml``: all fields that differ from their defaults, and the base's discs."""
+    """Return the text of a ``robot.toml`` with all fields that differ from their defaults, and the base's discs."""
     lines: list[str] = []
     tables: list[str] = []
     for name, value in msgspec.structs.asdict(settings).items():

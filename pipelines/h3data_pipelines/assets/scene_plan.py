@@ -1,4 +1,4 @@
-"""Annotated plan of a scene: names of rooms, free floor, receptacles, and the problems that a validation found."""
+"""Annotated plan of a scene with names of rooms, free floor, receptacles, and the problems that a validation found."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _LIST_SCALE = 0.42
 def scene_map(
     scene: Scene, free: FreeSpace, *, problems: Sequence[Problem] = (), pixels_per_m: float = 80.0
 ) -> NDArray[np.uint8]:
-    """Return an annotated plan, RGB [H, W, 3]: names of rooms, free floor, receptacles, numbered problems, a scale bar.
+    """Return an annotated plan, RGB [H, W, 3], with room names, free floor, receptacles, numbered problems and a scale.
 
-    The largest island of ``free`` is green, all others are orange; receptacles are violet frames; problems are listed
-    by number below the plan.
+    The largest island of ``free`` is green, and all others are orange. Receptacles are violet frames. Problems are
+    listed by number below the plan.
     """
     import shapely
 

@@ -25,7 +25,7 @@ AGENT_RADIUS_M, AGENT_HEIGHT_M = 0.25, 1.41
 
 
 def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any]:
-    """Return counts and areas of a scene as JSON data; ``free`` is None for a scene without free floor."""
+    """Return counts and areas [m2] of a scene as JSON data; ``free`` is None for a scene without free floor."""
     rectangles = [np.asarray(r.rectangles, np.float64) for r in scene.rooms]
     floor = sum(float(np.sum((r[:, 2] - r[:, 0]) * (r[:, 3] - r[:, 1]))) for r in rectangles)
     return {
@@ -44,7 +44,7 @@ def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any
 
 
 def presets_and_sets() -> Outcome:
-    """Return tables of the names for which the installed generators make scenes, and of the built-in scene sets."""
+    """Return tables of the presets for which the installed generators make scenes, and of the built-in scene sets."""
     generators = scene_generators().values()
     presets = [
         {"preset": name, **asdict(size), "seeds": "0, 1, 2, ..."}
@@ -161,7 +161,7 @@ def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
 
 
 def short_name(name: str) -> str:
-    """Return the name of a scene in tables: the last part of a path."""
+    """Return the name of a scene for tables, which is the last part of its path."""
     return Path(name).name if "/" in name else name
 
 
@@ -172,7 +172,7 @@ def cell(value: Any) -> str:
 
 
 def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a table with aligned columns, numbers to the right."""
+    """Format a table with aligned columns, in which numbers are aligned to the right."""
     widths = [max(len(h), *(len(r[k]) for r in rows)) if rows else len(h) for k, h in enumerate(heads)]
 
     def line(cells: Sequence[str]) -> str:

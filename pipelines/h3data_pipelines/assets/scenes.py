@@ -123,7 +123,7 @@ class ScenesShow:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """PNG file to write."""
     view: Literal["plan", "eye"] = "plan"
-    """plan: from above. eye: from the eye level of a person in a room."""
+    """View to render: plan (from above), or eye (from the eye level of a person in a room)."""
     room: str = ""
     """Room to stand in for --view eye (default: the largest)."""
     pixels_per_m: float = 80.0
@@ -168,7 +168,7 @@ class ScenesShow:
 
 @dataclass(frozen=True)
 class ScenesExport:
-    """Export scenes as one Habitat scene dataset, which habitat-sim loads, or as one GLB or USD file each.
+    """Export scenes as one Habitat scene dataset, which habitat-sim can load, or as one GLB or USD file each.
 
     The export of a scene set as a Habitat dataset includes its episodes.
 
@@ -185,17 +185,22 @@ class ScenesExport:
     """A set (h3-homes/test, a .toml file), one of its scenes (h3-homes/test#3), built-in homes (small:3) or paths of
     scenes. Scenes of one Habitat dataset share their objects."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder to write to; that of a Habitat dataset must be new. For usd also a file: home.usda, home.usdc, home.usdz."""
+    """Folder to write to; the folder of a Habitat dataset must be new. For usd, this may also be a file: home.usda,
+    home.usdc or home.usdz.
+    """
     to: Literal["habitat", "glb", "usd"] = "habitat"
     """habitat: configs, stage, one GLB per object, receptacles, lights, regions. glb: one file that any viewer opens. usd: for
     Isaac, Blender and Omniverse, with materials, colliders, joints and semantic labels (in a folder: .usdc)."""
     split_building: bool = False
-    """For habitat: floors, walls, ceilings, windows, doors and trim as one static object each, so that habitat-sim's
-    semantic sensor tells them apart. The stage then only collides."""
+    """For habitat: export floors, walls, ceilings, windows, doors and trim as one static object each, so that
+    habitat-sim's semantic sensor distinguishes them. The stage is then used for collisions only.
+    """
     episodes: int | None = None
     """Number of episodes of a set to export for habitat (default: all; 0: none)."""
     objects: Path | None = None
-    """Folder of objects (of the YCB set, or Habitat's object configs) that replace movable things where they fit."""
+    """Folder of objects (of the YCB set, or Habitat's object configs) that replace the movable things of the scenes
+    where they fit.
+    """
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -319,7 +324,7 @@ class ScenesExport:
 
 @dataclass(frozen=True)
 class ScenesValidate:
-    """Check scenes for problems; exits with code 1 if there are any.
+    """Check scenes for problems; the exit code is 1 if there are any.
 
     Problems are a disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken objects,
     receptacles out of reach, and missing assets.
@@ -346,7 +351,7 @@ class ScenesValidate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Check the scenes, draw their problems on plans if asked to, and return a report."""
+        """Check the scenes, mark their problems on plans if an output is named, and return a report."""
         if not self.scenes:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if not 0.05 <= self.radius <= 2:
@@ -514,7 +519,7 @@ def _png(path: Path, *, force: bool) -> Path:
 
 
 def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """Render the view of a person who stands in a room, RGB [H, W, 3]."""
+    """Render the view of a person who stands in a room, as RGB [H, W, 3]."""
     from h3data.render.renderer import Renderer
     from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 

@@ -14,12 +14,12 @@ from sim_kinematic.tasks.social_nav.task import SocialNav
 def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 0) -> SocialNavEpisode:
     """Sample episode ``index`` in one scene of a set.
 
-    It depends on nothing else, so that a set of 37,000 is a list of 37 homes.
+    The episode depends on nothing but its arguments, so that a set of 37,000 episodes is stored as a list of 37 homes.
 
-    ``seed`` 0 gives the set's own episodes. The scene and its map are made at the first call and kept.
+    ``seed`` 0 gives the set's own episodes. The scene and its map are built at the first call and cached.
 
     Raises:
-        SceneError: the scene has no two starts so far apart.
+        SceneError: the scene has no two starts at the required distance.
     """
     return sampled_episode(
         entry.source,
@@ -31,7 +31,7 @@ def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 
 def sampled_episode(
     source: SceneSource, *, seed: int, spec: SocialNavSpec, robot: str | None = None
 ) -> SocialNavEpisode:
-    """Return the episode of a seed in a scene under these rules, for one robot."""
+    """Sample the episode with a seed in a scene under some rules, for one robot."""
     free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
     scene, body = open_scene(source), robot or ROBOT_BODY
     task = SocialNav()

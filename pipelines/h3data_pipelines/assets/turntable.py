@@ -1,4 +1,4 @@
-"""Contact sheets of robots: views from all around, at rest or with the hand moved along a circle by inverse kinematics."""
+"""Contact sheets of robots from all sides, at rest or with the hand moved along a circle by inverse kinematics."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from h3data.render.sheets.people_sheet import floor_mesh
 HFOV_DEG, PITCH_DEG, MARGIN_M = 14.0, 12.0, 0.12
 FLOOR = (226, 226, 222)
 FIRST_DEG = 35.0
-"""Heading in the first view: forward points right and slightly towards the camera."""
+"""Heading in the first view, in which forward points right and slightly towards the camera [deg]."""
 CIRCLE_M, AHEAD_M = 0.22, 0.12
-"""Radius of the hand's circle, and distance of its centre in front of the resting hand."""
+"""Radius of the hand's circle, and distance of its centre in front of the resting hand [m]."""
 
 
 def turntable(robot: Robot, *, views: int = 6, width: int = 1600, reaching: bool = False) -> NDArray[np.uint8]:
-    """Return a robot at equally spaced headings, side by side, RGB [H, W, 3]; ``reaching`` moves its hand along a circle."""
+    """Render a robot at equally spaced headings as RGB [H, W, 3]; ``reaching`` moves its hand along a circle."""
     if reaching and robot.hand_link >= 0:
         postures = solve_ik(
             robot, robot.links[robot.hand_link].name, _circle(robot, views), offset=robot.hand_position

@@ -1,4 +1,4 @@
-"""Definition of a benchmark: a folder with ``benchmark.toml``, the list of its episodes, and the results of its baselines.
+"""Definition of a benchmark in a folder with ``benchmark.toml``, a list of episodes, and the results of baselines.
 
 The benchmarks that ship with the package are in ``datasets/benchmarks``; any other folder of this form can be run by its path.
 A benchmark never changes: new episodes, rules or metrics are a new version.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 FOLDER = "benchmarks"
-"""Name of the folder of benchmarks below that of the shipped data."""
+"""Name of the folder of benchmarks in the data of the package."""
 DEFINITION, EPISODES, BASELINES = "benchmark.toml", "episodes.json", "baselines.json"
 
 
@@ -49,9 +49,9 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     overrides: dict[str, Any] = {}
     """Fields of the task's rules that differ from this set of rules."""
     metrics: list[str]
-    """Columns of the leaderboard."""
+    """Names of the metrics that are columns of the leaderboard."""
     rank: str
-    """Metric by which the rows of the leaderboard are sorted, the best first."""
+    """Metric by which the rows of the leaderboard are sorted, best first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +83,14 @@ class Benchmark:
         )
 
     def jobs(self) -> list[Evaluation]:
-        """Return the episodes, to be played by whomever."""
+        """Return the jobs of all episodes, without a policy."""
         from sim_kinematic.policies.assignment import policy_names
         from sim_kinematic.tasks.registry import find_task
 
         return self.request(tuple(policy_names(find_task(self.file.task), "robot")[:1])).jobs()
 
     def metrics(self) -> list[Metric]:
-        """Return the columns of the leaderboard, the one that ranks among them."""
+        """Return the metrics in the columns of the leaderboard, including the ranking metric."""
         from h3data.metrics.registry import profile_for
         from sim_kinematic.tasks.registry import find_task
 
@@ -105,11 +105,7 @@ class Benchmark:
         return [known[name] for name in self.file.metrics]
 
     def episode_uids(self) -> list[str]:
-        """Return the identity of each episode (`episode_uid`), in their order.
-
-        Raises:
-            FormatError: the list of episodes is missing or malformed.
-        """
+        """Return the identity (`episode_uid`) of each episode, in order."""
         path = self.folder / EPISODES
         try:
             listed = json.loads(path.read_text(encoding="utf-8"))["episodes"]
@@ -127,7 +123,7 @@ class Benchmark:
 
 
 def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:
-    """Yield number, scene, seed and identity of each episode: the entries of ``episodes.json``."""
+    """Yield the number, scene, seed and identity of each episode, which are the entries of ``episodes.json``."""
     for job in jobs:
         base = job.base
         yield {
@@ -144,7 +140,7 @@ def benchmark_labels() -> tuple[str, ...]:
 
 
 def find_benchmark(name: str) -> Benchmark:
-    """Return a benchmark by its name (the newest version), name and version, or folder.
+    """Return the benchmark with a name (in its newest version), with a name and version, or in a folder.
 
     Raises:
         InputError: no benchmark has this name.
@@ -168,7 +164,7 @@ def read_benchmark(folder: Path) -> Benchmark:
 
     Raises:
         FormatError: its definition is damaged, or of another version of the format.
-        UntrustedNameError: it names a task or policy that is neither built in nor installed nor trusted.
+        UntrustedNameError: the definition names a task or policy that is not built in, installed or trusted.
     """
     path, episodes = folder / DEFINITION, folder / EPISODES
     try:

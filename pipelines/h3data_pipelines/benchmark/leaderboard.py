@@ -1,4 +1,4 @@
-"""Leaderboards: the results of a benchmark in one table, as Markdown or as a page of HTML."""
+"""Leaderboards, which show the results of a benchmark in one table, as Markdown or as an HTML page."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Entry:
     source: str
     """Name of the folder of the result, or ``baseline`` for results that ship with the benchmark."""
     checked: str
-    """Result of `h3data benchmark verify`."""
+    """Result of `h3data benchmark verify` for the row."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """All results of one benchmark, the best first."""
+    """Leaderboard with all results of one benchmark, best first."""
 
     benchmark: Benchmark
     entries: tuple[Entry, ...]
@@ -47,7 +47,7 @@ class Leaderboard:
         return self.benchmark.metrics()
 
     def to_markdown(self) -> str:
-        """Return heading, table, and the meaning of its columns."""
+        """Return the leaderboard as Markdown with a heading, the table, and the meaning of its columns."""
         lines = [f"# {self.benchmark.label}", "", self.benchmark.file.about, ""]
         rows = [
             self._heads(),
@@ -58,7 +58,7 @@ class Leaderboard:
         return "\n".join([*lines, "", "Means with 95% intervals.", "", *self._legend(), ""])
 
     def to_html(self) -> str:
-        """Return a page that needs no other file, with a card below the table for each result."""
+        """Return the leaderboard as a self-contained HTML page, with a card below the table for each result."""
         from jinja2 import Environment, PackageLoader, StrictUndefined
 
         pages = PackageLoader("h3data_pipelines", "benchmark")
@@ -72,7 +72,7 @@ class Leaderboard:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the rows as JSON types, the best first."""
+        """Return the rows as JSON types, best first."""
         return {
             "benchmark": self.benchmark.label,
             "rows": [
@@ -101,7 +101,7 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
     Complete results come first, then the best by the benchmark's ranking metric.
 
     Raises:
-        InputError: a folder holds no result, or one of another benchmark.
+        InputError: a folder holds no result, or the result of another benchmark.
         FormatError: a file is damaged.
     """
     entries = _baselines(benchmark)
@@ -126,7 +126,7 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
 
 
 def write_verdict(verdict: ResultVerification) -> dict[str, Any]:
-    """Write ``verification.json`` with the result of a check, with the digest of the result that was checked."""
+    """Write ``verification.json`` with the outcome of a verification and the digest of the verified result."""
     return {**verdict.to_dict(), "result_sha256": file_sha256(verdict.folder / MANIFEST)}
 
 

@@ -1,7 +1,7 @@
-"""Results of a benchmark in a folder: the output of ``h3data evaluate`` with all recordings, and ``benchmark.json``.
+"""Results of a benchmark in a folder, with the output of ``h3data evaluate``, all recordings, and ``benchmark.json``.
 
 ``benchmark.json`` names the benchmark, the machine and the versions, and has the table and the digest of every file, so that
-`h3data_pipelines.benchmark.verification` can tell whether the table follows from the recordings.
+`h3data_pipelines.benchmark.verification` can check whether the table follows from the recordings.
 """
 
 from __future__ import annotations
@@ -37,10 +37,12 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
     policy: str
     played: int
-    """Number of episodes with each of the partners that were played to their end."""
+    """Number of episodes that were completed with each partner."""
     expected: int
     metrics: dict[str, dict[str, float | None]]
-    """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
+    """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and the number of ``episodes`` in which the
+    metric is defined.
+    """
 
 
 class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,16 +95,16 @@ def run_benchmark(
 ) -> BenchmarkRun:
     """Play policies in all episodes of a benchmark, and write the recordings, the table and ``benchmark.json`` to ``out``.
 
-    Episodes that are in ``out`` already are not played again.
+    Episodes that already have results in ``out`` are not played again.
 
     Args:
         benchmark: The benchmark.
-        policies: Policies of the robot, as of ``h3data evaluate``.
-        out: Folder, new or that of an interrupted run with the same policies.
-        resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+        policies: Policies of the robot, as for ``h3data evaluate``.
+        out: A new folder, or the folder of an interrupted run with the same policies.
+        resume, force, workers, executor, progress: Options of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
 
     Raises:
-        InputError: there is no such policy, the folder holds anything else, or this version makes other episodes.
+        InputError: there is no such policy, the folder holds other files, or this version generates different episodes.
     """
     columns = benchmark.metrics()
     if (out / MANIFEST).is_file() and not force and (found := read_result(out)).benchmark != benchmark.label:
@@ -139,10 +141,10 @@ def run_benchmark(
 
 
 def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], expected: int) -> list[ResultRow]:
-    """Return the table of a result: means of each policy over all episodes and partners.
+    """Return the table of a result, with means of each policy over all episodes and partners.
 
     Args:
-        metrics: The columns.
+        metrics: Metrics in the columns of the table.
         rows: Results of each policy, partner and episode, as ``h3data evaluate`` stores them.
         expected: Number of rows of each policy if nothing failed.
     """
@@ -158,7 +160,7 @@ def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], exp
 
 
 def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
-    """Return the table as text: a line for each policy."""
+    """Return the table as text, with one line for each policy."""
     columns = list(metrics)
     lines = [["Mean [95% interval]", *(metric.name for metric in columns)]]
     lines += [[row_label(row), *(cell_text(row, metric.name) for metric in columns)] for row in rows]
@@ -166,12 +168,12 @@ def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
 
 
 def row_label(row: ResultRow) -> str:
-    """Return the policy, and how much of the benchmark it has played if that is not all."""
+    """Return the name of the policy, with the number of completed episodes if some are missing."""
     return row.policy if row.played == row.expected else f"{row.policy} ({row.played} of {row.expected} episodes)"
 
 
 def cell_text(row: ResultRow, metric: str) -> str:
-    """Return text such as ``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
+    """Return text such as ``0.97 [0.92, 0.99]``, or ``-`` if the metric is undefined in all episodes."""
     cell = row.metrics.get(metric, {})
     mean, low, high = (cell.get(name) for name in ("mean", "low", "high"))
     if mean is None:
@@ -217,7 +219,7 @@ def result_files(folder: Path) -> list[str]:
 
 
 def this_machine() -> dict[str, str]:
-    """Return the processor, system and versions that a result names."""
+    """Return the processor, operating system and package versions that a result records."""
     from h3data_pipelines.machine.bench import hardware_name
 
     return {

@@ -1,7 +1,7 @@
-"""Verification of a result: its table against its recordings, and these against the episodes of the benchmark.
+"""Verification of a result, whose table is checked against its recordings, and these against the benchmark's episodes.
 
-Nothing that the result claims is taken on trust. Each recording is compared with the episode that the benchmark names,
-simulated again from the robot's recorded actions, with people whose own policies decide again, and measured again.
+No claim of the result is trusted. Each recording is compared with the episode that the benchmark names,
+simulated again from the robot's recorded actions while the policies of people decide again, and measured again.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 MOST_SHOWN = 20
-"""Number of faults that are printed; ``--json`` has all."""
+"""Largest number of faults that are printed; ``--json`` lists all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResultVerification:
-    """Verification of a result."""
+    """Outcome of the verification of a result."""
 
     folder: Path
     benchmark: str
@@ -54,9 +54,9 @@ class ResultVerification:
     episodes: int
     """Number of episodes that were checked."""
     of_episodes: int
-    """Number of all episodes of the benchmark."""
+    """Number of episodes of the whole benchmark."""
     faults: tuple[str, ...]
-    """Faults, a sentence each; empty if the table is confirmed."""
+    """Faults that were found, one sentence each; empty if the table is confirmed."""
 
     @property
     def is_true(self) -> bool:
@@ -64,7 +64,7 @@ class ResultVerification:
         return not self.faults
 
     def to_text(self) -> str:
-        """Return the faults, then the verdict."""
+        """Return the faults, followed by the verdict."""
         checked = (
             f"{counted(self.recordings, 'recording')} of {self.episodes} of {counted(self.of_episodes, 'episode')} simulated "
             "and measured again"
@@ -110,15 +110,15 @@ def verify_result(
     workers: int = 1,
     progress: Callable[..., Any] | None = None,
 ) -> ResultVerification:
-    """Check a result, as a whole or a random sample of its episodes.
+    """Verify a result, either completely or in a random sample of its episodes.
 
     Args:
-        folder: The result.
+        folder: Folder of the result.
         benchmark: Name or folder of the benchmark (default: the shipped one that the result names).
         episodes: Number of episodes to check, sampled at random (default: all).
-        seed: Seed of that sample.
+        seed: Seed of the random sample.
         workers: Number of processes.
-        progress: Makes a progress bar: called with ``total``, ``desc`` and ``unit``.
+        progress: Function that creates a progress bar, called with ``total``, ``desc`` and ``unit``.
 
     Raises:
         InputError: the folder holds no result, or there is no such benchmark.

@@ -1,1 +1,1 @@
-"""The commands that make, convert and measure recordings."""
+"""Commands that make, convert and measure recordings."""

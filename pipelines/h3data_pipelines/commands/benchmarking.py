@@ -1,4 +1,4 @@
-"""Command ``h3data benchmark``: runs a named benchmark, verifies any result of it, and makes a leaderboard."""
+"""Command ``h3data benchmark``, which runs a named benchmark, verifies results of it, and makes a leaderboard."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class BenchmarkList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return name, task, number of episodes and description of each."""
+        """Return the name, task, number of episodes and description of each benchmark."""
         from h3data_pipelines.benchmark.definition import benchmark_labels, find_benchmark
 
         found = [find_benchmark(label) for label in benchmark_labels()]
@@ -68,24 +68,24 @@ def run_benchmark(
 ) -> BenchmarkRun:
     """Play policies in all episodes of a benchmark: ``run_benchmark("h3-social-nav@1", "out/mine", policies=[Mine])``.
 
-    ``h3data benchmark run --help`` explains the options, which are called the same there.
+    ``h3data benchmark run --help`` explains the options, which have the same names there.
 
     Returns:
-        The table with 95% intervals, which is also in ``benchmark.json`` of the folder, and the episodes that failed.
+        The table with 95% intervals, which is also in ``benchmark.json`` of the folder, and the failed episodes.
 
     Raises:
-        InputError: there is no such benchmark or policy, or the folder holds anything else.
+        InputError: there is no such benchmark or policy, or the folder holds other files.
     """
     return result_of(BenchmarkRunCommand, locals())
 
 
 @command_of(run_benchmark)
 class BenchmarkRunCommand:
-    """Play policies in all episodes of a benchmark, and store the recordings with the table that follows from them.
+    """Play policies in all episodes of a benchmark, and store the recordings with the table of metrics.
 
     The folder gets the recordings, the results of each episode, and benchmark.json: the table with 95% intervals, the machine,
-    the versions and the digest of every file. Whoever has the folder can check it with h3data benchmark verify. An interrupted
-    run goes on where it was.
+    the versions and the digest of every file. Anyone who has the folder can check it with h3data benchmark verify. An
+    interrupted run continues where it stopped.
 
     Examples:
         h3data benchmark run h3-social-nav@1 --policy end_to_end -o out/end_to_end
@@ -94,7 +94,7 @@ class BenchmarkRunCommand:
     """
 
     benchmark: tyro.conf.Positional[str]
-    """Name of the benchmark (h3data benchmark list), with its version, or a folder with a benchmark.toml."""
+    """Name of the benchmark (h3data benchmark list), optionally with its version, or a folder with a benchmark.toml."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the result."""
     policies: tuple[str, ...]
@@ -134,12 +134,12 @@ class BenchmarkRunCommand:
 def verify_benchmark(
     result: FilePath, *, benchmark: FilePath | None = None, episodes: int | None = None, seed: int = 0, workers: int = 1
 ) -> ResultVerification:
-    """Check whether the table of a result is true: ``verify_benchmark("out/mine").is_true``.
+    """Check whether the table of a result follows from its recordings, as in ``verify_benchmark("out/mine").is_true``.
 
-    ``h3data benchmark verify --help`` explains the options, which are called the same there.
+    ``h3data benchmark verify --help`` explains the options, which have the same names there.
 
     Returns:
-        The files checked and the faults found.
+        The numbers of checked recordings and episodes, and the faults that were found.
 
     Raises:
         InputError: the folder holds no result, or there is no such benchmark.
@@ -151,10 +151,10 @@ def verify_benchmark(
 class BenchmarkVerify:
     """Check whether the table of a result follows from its recordings.
 
-    Each recording is compared with the episode that the benchmark names, simulated again from the robot's actions, with people
-    whose own policies decide again, and measured again; the table has to follow from these. Policies of robots are not needed.
-    Exit code 1 if anything is wrong. On one processor architecture recordings are equal bit for bit; elsewhere the last bits
-    may differ.
+    Each recording is compared with the episode that the benchmark names, simulated again from the robot's actions,
+    while the policies of people decide again, and measured again. The table has to follow from these measurements. The
+    robots' policies are not needed. The exit code is 1 if there are faults. On the same processor architecture,
+    recordings are equal bit for bit; on others the last bits may differ.
 
     Examples:
         h3data benchmark verify out/end_to_end
@@ -169,13 +169,13 @@ class BenchmarkVerify:
     episodes: int | None
     """Number of episodes to check, sampled at random (default: all)."""
     seed: int
-    """Seed of this sample."""
+    """Seed of the random sample of episodes."""
     workers: int
     """Number of worker processes."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Check the result and return the verdict, which is stored beside it."""
+        """Verify the result and return the verdict, which is also stored in the result's folder."""
         from h3data_pipelines.benchmark.leaderboard import VERDICT, write_verdict
         from h3data_pipelines.benchmark.verification import verify_result
 
@@ -193,9 +193,9 @@ class BenchmarkVerify:
 
 @dataclass(frozen=True)
 class BenchmarkTable:
-    """Make a leaderboard of a benchmark: its baselines and any results, the best first.
+    """Make a leaderboard of a benchmark with its baselines and any results, best first.
 
-    The column "Checked" tells which results h3data benchmark verify has checked, and how many of their episodes.
+    The column "Checked" shows which results h3data benchmark verify has checked, and how many of their episodes.
 
     Examples:
         h3data benchmark table --benchmark h3-social-nav@1
@@ -214,7 +214,7 @@ class BenchmarkTable:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return the leaderboard, and write it if a file is named."""
+        """Return the leaderboard, and write it to the file in ``out`` if one is named."""
         from h3data_pipelines.benchmark.definition import find_benchmark
         from h3data_pipelines.benchmark.leaderboard import leaderboard
         from h3data_pipelines.benchmark.result import read_result

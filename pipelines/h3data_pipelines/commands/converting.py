@@ -1,4 +1,4 @@
-"""Command ``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
+"""Command ``h3data convert``, which converts MCAP logs to a Parquet dataset and back without loss."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ _TOGETHER = 8
 class Convert:
     """Convert recordings between the session log (MCAP) and the dataset (Parquet, LeRobot v3 layout), without loss.
 
-    OUT decides: OUT.mcap is one log; a folder becomes a dataset if the input is logs, and logs if the input is a dataset.
+    OUT determines the direction. OUT.mcap becomes one log. A folder becomes a dataset if the input consists of logs,
+    and a folder of logs if the input is a dataset.
 
     Examples:
         h3data convert recordings/ ds/
@@ -50,23 +51,24 @@ class Convert:
     out: tyro.conf.Positional[Path]
     """An .mcap file or a folder, or a URI: s3://bucket/ds."""
     to: Literal["auto", "mcap", "dataset"] = "auto"
-    """Contents of the output folder, if the input does not decide."""
+    """Format of the recordings in the output folder, if it does not follow from the input."""
     nominal_fps: int | None = None
-    """Steps per second of LeRobot's time stamps in a dataset of episodes with other or irregular rates; the true times stay
-    in time_ns (default: the rate of the first episode, which all must have)."""
+    """Steps per second of LeRobot's time stamps in a dataset of episodes with different or irregular rates. The true
+    times remain in time_ns (default: the rate of the first episode, which all episodes must have).
+    """
     share_scenes: ShareScenesFlag = False
     workers: int = 1
-    """Number of processes that write logs; a dataset has one writer."""
+    """Number of processes that write logs; a dataset is always written by one process."""
     executor: ExecutorOption = "local"
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
-    """Continue an interrupted conversion of the same input; finished output stays."""
+    """Continue an interrupted conversion of the same input; finished output is kept."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Convert the recordings, in several processes if asked to, and return the number of episodes and files."""
+        """Convert the recordings, with ``workers`` processes, and return the number of episodes and files."""
         if self.force and self.resume:
             raise InputError("Choose one: --resume continues the output, --force replaces it.", code="H3-OPTION-022")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
@@ -130,7 +132,7 @@ class Convert:
         return counted(found, "finished log") if found else ""
 
     def target(self, source: StoredEpisode) -> AnyPath:
-        """Return the log's path below the output, as below the input.
+        """Return the path of a log in the output folder, which mirrors its path in the input.
 
         Episode 3 of a dataset becomes ``DATASET/000003.mcap``.
         """
@@ -234,10 +236,9 @@ class Convert:
 
 
 def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
-    """Write the episodes of a part as logs.
+    """Write the episodes of one part of the job as logs.
 
-    The output folder was empty, or it is continued or replaced. Logs that an earlier attempt at this part has finished
-    are not written again.
+    Logs that an earlier attempt at the same part has finished are not written again.
     """
     command = command if command.force else replace(command, resume=True)
     return [command.log(source, command.target(source)) for source in part.sources()]

@@ -1,4 +1,4 @@
-"""Command ``h3data demo``: one episode through every room of a home, offline: metrics at once, then a picture, then videos."""
+"""Command ``h3data demo``, which simulates one episode in a home and makes metrics, a picture and videos."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ FILES = (
     "summary.json",
 )
 FRAME_EVERY = 2
-"""Number of steps from one frame of the videos to the next: 15 frames/s."""
+"""Number of steps between consecutive frames of the videos, which gives 15 frames/s."""
 VIDEO_SIZE = (480, 360)
-"""Default size of third_person.mp4 [px]. The first picture then has the camera's own size, 640x480."""
+"""Default size of third_person.mp4 [px]; at this size, the first picture has the camera's own size, 640x480."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Simulate a person and a robot in a home; record, render and measure the episode.
+    """Simulate a person and a robot in a home, and record, render and measure the episode.
 
     Examples:
         h3data demo
@@ -72,7 +72,9 @@ class Demo:
     human_speed: float = 1.2
     """Walking speed of the person [m/s]. (`h3data generate` uses 1.3, the paper 2.5.)"""
     size: str = ""
-    """Size of third_person.mp4 such as 1280x720 (default: 480x360, two thirds of the time that 640x480 takes)."""
+    """Size of third_person.mp4 [pixels], such as 1280x720 (default: 480x360, which takes two thirds of the time of
+    640x480).
+    """
     light: LightOption = "baked"
     force: ForceFlag = False
     json: JsonFlag = False

@@ -1,4 +1,4 @@
-"""Summary of an episode file: counts, scenes, tasks, objects, receptacles and distances."""
+"""Summary of an episode file with its counts, scenes, tasks, objects, receptacles and distances."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _LONGEST = 48
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Least, mean and largest of some numbers."""
+    """Minimum, mean and maximum of a list of numbers."""
 
     least: float
     mean: float
     greatest: float
 
     def text(self, unit: str = "") -> str:
-        """Return the numbers for people, with three digits."""
+        """Return the numbers as readable text with three significant digits."""
         if self.least == self.greatest:
             return f"{self.mean:g}{unit}"
         return f"{self.least:.3g} to {self.greatest:.3g}{unit} ({self.mean:.3g} on average)"
@@ -47,9 +47,9 @@ class EpisodeSummary:
     complete: int
     """Number of episodes that contain the starts of the agents."""
     objects: Spread | None
-    """Numbers of objects that single episodes add to their scenes."""
+    """Spread of the number of objects that an episode adds to its scene."""
     goals: Spread | None
-    """Numbers of objects that have to be moved in single episodes."""
+    """Spread of the number of objects that have to be moved in an episode."""
     templates: Mapping[str, int]
     """Number of objects to be moved by template, or by name in h3data's own files."""
     sources: Mapping[str, int]
@@ -57,9 +57,9 @@ class EpisodeSummary:
     destinations: Mapping[str, int]
     """Number of goals by the receptacle to which the object has to be moved."""
     carry_m: Spread | None
-    """Straight distance on the floor from objects to their goals [m]."""
+    """Straight-line distance on the floor from objects to their goals [m]."""
     apart_m: Spread | None
-    """Straight distance between the starts of robot and person [m]."""
+    """Straight-line distance between the starts of robot and person [m]."""
     predicates: Mapping[str, int]
     """Number of PARTNR's propositions, by the name of their function."""
     instructions: tuple[str, ...]
@@ -201,7 +201,7 @@ def _spread(numbers: Sequence[float] | Iterable[float]) -> Spread | None:
 
 
 def predicates_of(episode: RearrangeEpisode) -> list[str]:
-    """Return the function of each proposition of an episode; none if it is not PARTNR's."""
+    """Return the function name of each proposition of an episode; empty if it is not an episode of PARTNR."""
     listed = episode.extra.get(PROPOSITIONS)
     if not isinstance(listed, list):
         return []

@@ -80,14 +80,14 @@ def evaluate(
 ) -> EvaluationResult | SkillEvaluationResult:
     """Play policies in the same episodes and measure them: ``evaluate("social_nav", "out", policies=["end_to_end", Mine])``.
 
-    ``h3data evaluate TASK --help`` explains the options, which are called the same there.
+    ``h3data evaluate TASK --help`` explains the options, which have the same names there.
 
     Returns:
-        The table of policies (and partners) with 95% intervals, and the episodes that failed; of the task ``skill`` that of
-        the skills.
+        The table of policies (and partners) with 95% intervals, and the failed episodes; for the task ``skill``, the
+            table of the skills.
 
     Raises:
-        InputError: an option is wrong, or the folder holds results with other options.
+        InputError: an option is invalid, or the folder holds results with other options.
     """
     return result_of(Evaluate, locals())
 
@@ -96,9 +96,9 @@ def evaluate(
 class Evaluate:
     """Play policies in the same episodes and compare their metrics with the paper's.
 
-    The table has S, SPS, F, CR, BYR, TD and FD of social_nav, or SR, RE, CR and RC of rearrange with every partner, with 95%
-    intervals; of skill, how often each learned skill succeeds, with the robot alone. Each episode is a small file in the output
-    folder, so that an interrupted evaluation continues where it was.
+    The table has S, SPS, F, CR, BYR, TD and FD of social_nav, or SR, RE, CR and RC of rearrange with every partner,
+    with 95% intervals. For skill, it has the success rate of each learned skill with the robot alone. Each episode is a
+    small file in the output folder, so that an interrupted evaluation continues where it was.
 
     Examples:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
@@ -121,16 +121,20 @@ class Evaluate:
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: Annotated[tuple[str, ...], PLAYED, policies_of("robot", default=False)]
     """Policies of the robot: names as for h3data generate, or all. A pattern in quotes such as "weights:out/s*/policy.npz"
-    stands for all files that match: they are one row, the mean over training seeds and its standard deviation."""
+    stands for all matching files; they share one row with the mean and standard deviation over training seeds."""
     partners: Annotated[tuple[str, ...], PLAYED, policies_of("human", default=False)]
     """Policies of the person, or all."""
     unseen_partners: Annotated[tuple[str, ...], WITH_PARTNERS]
     """Partners that no robot was trained with, whose mean is shown as the zero-shot column (default: the paper's four
-    planners, both, object_1, object_2 and still, if all play, and the ten of these and the learned ones, if they do)."""
+    planners, both, object_1, object_2 and still, if all of them play, and the ten partners that also include the
+    learned ones, if all of these play).
+    """
     scenes: tuple[str, ...]
     """Scenes, as for h3data generate."""
     episodes_file: Path | None
-    """Episode file instead of --scenes, as for h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
+    """Episode file instead of --scenes, as for h3data generate: a file of h3data, or for rearrange also of Habitat or
+    PARTNR.
+    """
     assets: AssetsOption
     allow_missing: MissingFlag
     episodes: int | None
@@ -142,25 +146,28 @@ class Evaluate:
     robot: Annotated[str | None, PLAYED]
     """Body of the robot, as for h3data generate (default: that of the episode, else quad_arm)."""
     human: str | None
-    """Body of the person: a built-in one, with an outfit as in female_0:dress; any: each episode samples one of the twelve
-    adults; random: a new person for each episode (default: female_0)."""
+    """Body of the person: a built-in body, optionally with an outfit as in female_0:dress; any (each episode samples
+    one of the twelve adults); or random (each episode has a new person) (default: female_0).
+    """
     motion: Path | None
     """Motion file with the gait of people, as for h3data generate."""
     rules: RuleSetOption
     human_speed: float | None
     """Walking speed of the person [m/s] (default: that of --rules)."""
     max_steps: int | None
-    """Length limit of an episode (default: 1500)."""
+    """Largest number of steps of an episode (default: 1500)."""
     skills: Annotated[tuple[str, ...], WITH_SKILLS_OR_ONE, SKILLS]
-    """Learned skills of robots: learned (those that come with the package), a folder of training runs, or policy files of
-    h3data train skill."""
+    """Learned skills of robots: learned (the pretrained skills of the package), a folder of training runs, or policy
+    files of h3data train skill.
+    """
     card: str | None
-    """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
+    """Cards of the task scenarios (h3data docs scenarios): one, several separated by commas, or all."""
     observe: Annotated[ObserveOption, WITH_SKILLS]
     overrides: OverridesOption
     light: Annotated[LightMode | None, PLAYED]
-    """Light in the colours that policies observe: baked, from windows, sun and lamps, or flat, the same everywhere
-    (default: the light that each was trained in). It does not affect policies that observe no colours."""
+    """Light in the colours that policies observe: baked (from windows, sun and lamps) or flat (equal everywhere)
+    (default: the light in which each policy was trained). It does not affect policies that observe no colours.
+    """
     workers: int
     """Number of worker processes."""
     executor: ExecutorOption

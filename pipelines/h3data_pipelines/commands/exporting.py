@@ -1,4 +1,4 @@
-"""Command ``h3data export``, which writes recordings as files of other programs."""
+"""Command ``h3data export``, which writes recordings in the file formats of other programs."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ def export(
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
-    """Write recordings as files of other programs; options as of ``h3data export``.
+    """Export recordings to file formats of other programs, with the options of ``h3data export``.
 
     Returns:
-        The file or folder.
+        The exported file or folder.
 
     Raises:
-        InputError: the format or an option is wrong, or the output exists.
+        InputError: the format or an option is invalid, or the output exists.
     """
     return result_of(Export, locals())
 
@@ -78,11 +78,11 @@ def export(
 class Export:
     """Export recordings to file formats of other programs.
 
-    h3data docs export says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
-    gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and
-    Lichtblick. rosbag2: a bag of ROS 2 for RViz, PlotJuggler and ros2 bag play. csv: a folder of tables and NumPy arrays.
-    lerobot, robomimic and minari: demonstrations to learn from, of one or many recordings. habitat-episodes:
-    rearrangement as habitat-lab's episodes, with their scenes.
+    h3data docs export describes what each format contains. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB
+    files next to it. gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages
+    for Foxglove and Lichtblick. rosbag2: a bag of ROS 2 for RViz, PlotJuggler and ros2 bag play. csv: a folder of
+    tables and NumPy arrays. lerobot, robomimic and minari: demonstrations for imitation learning, from one or many
+    recordings. habitat-episodes: rearrangement episodes for habitat-lab, with their scenes.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
@@ -101,30 +101,36 @@ class Export:
     """A .mcap file or one episode of a dataset (ds#3); for lerobot, robomimic, minari and habitat-episodes also a
     dataset or a folder of recordings."""
     to: Annotated[str, NameOf(export_options)]
-    """Format to write: a built-in one, one of an installed plug-in, or module:name."""
+    """Format to write: a built-in format, the format of an installed plug-in, or module:name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (rosbag2, csv, lerobot, minari, habitat-episodes)."""
+    """Output file (gfx-replay, gltf, foxglove, robomimic) or folder (rosbag2, csv, lerobot, minari,
+    habitat-episodes).
+    """
     agent: str | None
-    """Agent whose actions are learned, for lerobot, robomimic and minari (default: the first robot that acts)."""
+    """Agent whose actions are exported as demonstrations, for lerobot, robomimic and minari (default: the first robot
+    that acts).
+    """
     assets: tuple[Path, ...]
-    """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
+    """Folders in which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     person_detail: PersonDetail
-    """Meshes of people for gfx-replay and gltf: full has 19 000 vertices, low 3 000."""
+    """Detail of the meshes of people for gfx-replay and gltf: full (19,000 vertices) or low (3,000 vertices)."""
     people: PeopleOption
     stand_ins: StandInsFlag
     cameras: tuple[str, ...]
     """Cameras to add as videos (foxglove, lerobot) or images (rosbag2): names as in rerender, or .toml or .json files.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
     storage: BagStorage
-    """Storage of a bag: mcap, or sqlite3, which Humble reads without another package; for rosbag2."""
+    """For rosbag2: storage of the bag, mcap or sqlite3 (which ROS 2 Humble reads without another package)."""
     lidar: int
-    """Number of rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
+    """For rosbag2: number of rays of a planar lidar that is simulated in the map for each robot without recorded scans
+    (0: none).
+    """
     backend: BackendOption
     force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the recordings in the other format and return the files."""
+        """Export the recordings and return the written files."""
         form = export_format(self.to)
         if self.backend != "cpu" and "cameras" not in form.write_options:
             raise InputError(

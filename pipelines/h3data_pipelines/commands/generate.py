@@ -1,4 +1,4 @@
-"""Command ``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
+"""Command ``h3data generate``, which simulates episodes into datasets and can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -75,10 +75,11 @@ if TYPE_CHECKING:
     from h3data_pipelines.arguments import Agents, Body, Overrides, Policies, Scenes, TaskChoice
 
 COMMIT_STEPS = 30_000
-"""Number of steps after which episodes are committed: about a minute of one core's work is lost when the process is
-killed. Not seconds: which files a dataset has must not depend on the speed of the machine."""
+"""Number of steps after which episodes are committed; if the process is killed, about a minute of one core's work is
+lost. It is not a time, because the files of a dataset must not depend on the speed of the machine.
+"""
 FRAME_STEPS = 4
-"""Number of steps that a frame of a video counts as."""
+"""Number of steps that one frame of a video counts as, in the work between two commits."""
 MAX_STEPS = task_notes(lambda task: f"{(task.usage.dataset_rules or task.Spec()).max_steps}.")
 SPAWN_DISTANCE = task_notes(lambda task: "Sets and files decide it." if task.usage.set_rules else "")
 
@@ -124,14 +125,15 @@ def generate(
 ) -> Generated:
     """Simulate episodes of a task into a dataset: ``generate("social_nav", "ds", episodes=20, cameras=["robot_arm"])``.
 
-    ``h3data generate TASK --help`` and h3data docs generate explain the options, which are called the same there.
-    With ``workers`` above 1 call it under ``if __name__ == "__main__":``, as Python's own `multiprocessing` asks for.
+    ``h3data generate TASK --help`` and h3data docs generate explain the options, which have the same names there.
+    With ``workers`` above 1, call the function under ``if __name__ == "__main__":``, as Python's `multiprocessing`
+    requires.
 
     Returns:
-        The dataset, the episodes that failed and the metrics.
+        The dataset, the failed episodes and the metrics.
 
     Raises:
-        InputError: an option is wrong, or the folder holds something.
+        InputError: an option is invalid, or the folder is not empty.
     """
     return result_of(Generate, locals())
 
@@ -140,8 +142,8 @@ def generate(
 class Generate:
     """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
 
-    Finished episodes survive Ctrl-C and kill: the same command with --resume continues. An episode that cannot be played is
-    listed at the end with its seed and error (exit code 1); the others are not stopped by it.
+    Finished episodes survive Ctrl-C and kill, and the same command with --resume continues. An episode that cannot be
+    played is listed at the end with its seed and error (exit code 1); the other episodes are played nevertheless.
 
     Examples:
         h3data generate social_nav --episodes 20 --seed 7 -o ds/
@@ -162,67 +164,82 @@ class Generate:
     """
 
     task: Annotated[tyro.conf.Positional[str], NameOf(task_names)]
-    """social_nav: find a walking person and follow them at 1-2 m. rearrange: help them to bring two objects to their goals.
-    wander: any robots and people walk about from one random point to another. Or the name of an installed task, or
-    module:Class (h3data docs extending)."""
+    """Task to play: social_nav (find a walking person and follow them at 1-2 m), rearrange (help a person to bring two
+    objects to their goals), wander (robots and people move between random points), an installed task, or module:Class
+    (h3data docs extending).
+    """
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None
     """Number of episodes (default: all of a set or file, else 10)."""
     seed: int
-    """Seed of everything random. With a scene set, 0 gives the set's own episodes, any other number new ones in its scenes."""
+    """Seed of everything random. With a scene set, 0 gives the set's own episodes, and any other seed gives new
+    episodes in its scenes.
+    """
     scenes: tuple[str, ...]
     """small, medium or large (built-in homes), one home as small:3, a set (h3-homes/train, /val, /test, or a .toml file), one
-    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb). Several are used in turn."""
+    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb). Several scenes are used in
+    turn.
+    """
     episodes_file: Path | None
-    """Episode file (.json.gz, .json, .pickle) instead of --scenes: one of ours (--save-episodes, h3data scenes export); in
-    rearrange also Habitat's and PARTNR's, whose starts are sampled from --seed."""
+    """Episode file (.json.gz, .json, .pickle) instead of --scenes: a file of h3data (--save-episodes, h3data scenes
+    export), or in rearrange also of Habitat or PARTNR, whose starts are sampled from --seed.
+    """
     save_episodes: Path | None
-    """Also write the episodes as a file for --episodes-file (.json.gz or .json); with --dry-run, only that."""
+    """Also write the episodes to this file (.json.gz or .json), for --episodes-file; with --dry-run, write only this
+    file.
+    """
     assets: AssetsOption
     allow_missing: MissingFlag
     homes: int
     """Number of different homes of a preset; the episodes use them in turn."""
     policies: Annotated[tuple[str, ...], policies_of("robot")]
-    """Policy of the robot, or of each robot in turn: a name, weights:FILE (h3data docs learned-policies) or module:name."""
+    """Policies of the robots in turn: each a name, weights:FILE (h3data docs learned-policies) or module:name."""
     partners: Annotated[tuple[str, ...], policies_of("human")]
-    """Policy of the person, or of each person in turn."""
+    """Policy of the person, or policies of the people in turn."""
     agents: tuple[str, ...]
     """Agents of the episode (default: robot,human): kinds, bodies, files, or a kind with one of these, as in
     robot,human,male_1 or robot:my_robot.urdf,human:male_1."""
     robot: str | None
-    """Body of each agent named robot: a built-in one, a URDF or MJCF file, or a folder with robot.toml (default: quad_arm)."""
+    """Body of each agent named robot: a built-in body, a URDF or MJCF file, or a folder with robot.toml (default:
+    quad_arm).
+    """
     human: str | None
-    """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
-    episode samples one of the twelve adults; random: new people for each episode, in wander for each person (default: the
-    episode's, else female_0)."""
+    """Body of each agent named human: a built-in body, optionally with an outfit as in female_0:dress; random:SEED; an
+    .npz file; any (each episode samples one of the twelve adults); or random (each episode has new people, in wander
+    one body for each person) (default: the episode's body, else female_0).
+    """
     motion: Path | None
-    """Motion file with the gait of people: one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is
-    stored in each recording."""
+    """Motion file with the gait of people: a file of h3data motion import, AMASS, Habitat or BVH (h3data docs motion).
+    The motion is stored in each recording.
+    """
     rules: RuleSetOption
     human_speed: float | None
-    """Walking speed of the person [m/s] (default: the episode's, else that of --rules)."""
+    """Walking speed of the person [m/s] (default: the episode's speed, else that of --rules)."""
     max_steps: Annotated[int | None, MAX_STEPS]
-    """Length limit of an episode, at 30 steps per second (default: the episode's, else that of the task)."""
+    """Largest number of steps of an episode, at 30 steps per second (default: the episode's limit, else the task's)."""
     spawn_distance: Annotated[float | None, SPAWN_DISTANCE]
-    """Least distance between any two agents at the start [m] (default: 5, the paper's for evaluation)."""
+    """Smallest distance between any two agents at the start [m] (default: 5, as in the paper's evaluation)."""
     skills: Annotated[tuple[str, ...], WITH_SKILLS]
-    """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
-    train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
-    (default: skills that know the whole state)."""
+    """Skills of the robots: learned (the pretrained skills of the package), a folder of training runs, policy files of
+    h3data train skill, or oracle: simple rules that also run on a GPU, with people as in the paper and nobody giving
+    way (default: skills that know the whole state).
+    """
     card: str | None
-    """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
+    """Cards of the task scenarios (h3data docs scenarios): one, several separated by commas, or all."""
     observe: Annotated[ObserveOption, WITH_SKILLS]
     overrides: OverridesOption
     sensors: tuple[str, ...]
-    """Sensors of robots that are recorded with every step: lidar, lidar_3d or any other of h3data docs environments that is no
-    picture; not in rearrange."""
+    """Sensors of robots that are recorded with every step: lidar, lidar_3d or any other sensor in h3data docs
+    environments that is not an image; not in rearrange.
+    """
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
     light: LightOption
-    """Light of the videos: baked, from windows, sun and lamps; or flat, the same everywhere. Policies that see colours get the
-    light of their training."""
+    """Light of the videos: baked (from windows, sun and lamps) or flat (equal everywhere). Policies that observe
+    colours get the light in which they were trained.
+    """
     backend: BackendOption
     workers: int
     """Number of worker processes."""
@@ -385,7 +402,7 @@ class Generate:
             )
 
     def jobs(self) -> Sequence[Job]:
-        """Return all episodes, or an `InputError` that names the bad option."""
+        """Return the jobs of all episodes, or raise an `InputError` that names the invalid option."""
         return self._jobs().jobs
 
     def _jobs(self) -> FileJobs:

@@ -42,7 +42,7 @@ def import_(
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
-    """Convert recordings of other programs to MCAP recordings in the folder ``out``; options as of ``h3data import``.
+    """Convert recordings of other programs to MCAP recordings in ``out``, with the options of ``h3data import``.
 
     Returns:
         The outcome for every file.
@@ -56,10 +56,12 @@ def import_(
 
 @command_of(import_)
 class Import:
-    """Convert recordings of other programs to MCAP recordings. Folders are searched, formats are detected by content.
+    """Convert recordings of other programs to MCAP recordings.
 
-    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, bags of ROS 2, tracks of people in the files of data
-    sets (h3data docs ros), and formats of plug-ins (h3data docs import).
+    Folders are searched, and formats are detected by content.
+
+    The command reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, bags of ROS 2, tracks of people
+    in files of public datasets (h3data docs ros), and formats of plug-ins (h3data docs import).
 
     Examples:
         h3data import my_session.gfx_replay.json -o rec/
@@ -70,34 +72,42 @@ class Import:
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """gfx-replay files (.json, .json.gz), HITL logs (.json.gz, .pkl.gz), bags, files of tracks, or folders that hold some."""
+    """gfx-replay files (.json, .json.gz), HITL logs (.json.gz, .pkl.gz), bags, files of tracks, or folders with such
+    files.
+    """
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the recordings, one .mcap each; files of a folder keep their place below it."""
+    """Folder for the recordings, one .mcap each; files of a folder keep their relative paths."""
     assets: tuple[Path, ...]
-    """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
+    """Folders in which the recorded asset files are searched (default: H3DATA_ASSETS), so that missing files are
+    reported.
+    """
     manifest: Path | None
     """CSV table of a study, which assigns participants and conditions to files, user_ids or episode_ids (h3data docs
     import)."""
     fps: float
-    """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
+    """Steps per second of files without times: gfx-replay files and HITL logs of the first generation."""
     people: str
-    """Topic of people in a bag of ROS 2, when it has several or one of markers."""
+    """Topic of people in a bag of ROS 2, needed if the bag has several such topics, or a topic of markers."""
     robot: str
-    """The robot: its frame or topic in a bag (default: base_footprint or base_link), its id in a file of tracks."""
+    """Robot of the recording: its frame or topic in a bag (default: base_footprint or base_link), or its id in a file
+    of tracks.
+    """
     map: Path | None
     """Yaml file of an occupancy map, whose walls become the scene of tracks (default: the one in the bag)."""
     goal: str
-    """Goal of the robot, x,y in metres of the map."""
+    """Goal of the robot as x,y in the frame of the map [m]."""
     columns: tuple[str, ...]
     """Columns of a table of tracks: t,id,x,y in their order, or t=NAME,id=NAME,x=NAME,y=NAME."""
     unit: LengthUnit | None
-    """Unit of lengths in a table of tracks, where its format does not say."""
+    """Unit of lengths in a table of tracks, if its format does not specify one."""
     rate: float | None
-    """Frame numbers per second in a file of tracks that has no times."""
+    """Number of frames per second in a file of tracks that has frame numbers instead of times."""
     hz: float | None
-    """Rows per second of tracks (default: a row for each observation)."""
+    """Rows per second of the recordings of tracks (default: one row for each observation)."""
     model: str
-    """Body of the robot of a bag or of tracks: a robot by name, its URDF, robot.toml or MJCF (default: a cylinder)."""
+    """Body of the robot of a bag or of tracks: a built-in robot, or a URDF, robot.toml or MJCF file (default: a
+    cylinder).
+    """
     strict: bool
     """Refuse recordings with warnings or missing assets."""
     force: ForceFlag

@@ -1,4 +1,4 @@
-"""Command ``h3data info``: contents of recordings, datasets and episode files, without measuring or rendering."""
+"""Command ``h3data info``, which shows the contents of recordings, datasets and episode files."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ EPISODE_ENDINGS = (".json.gz", ".json", ".pickle")
 class Info:
     """Show the contents of recordings, datasets and episode files.
 
-    Of recordings and datasets: task, scene, agents, steps, columns. Of episode files: tasks, scenes, objects, receptacles,
-    distances.
+    For recordings and datasets, it shows the task, scene, agents, steps and columns. For episode files, it shows the
+    tasks, scenes, objects, receptacles and distances.
 
     Examples:
         h3data info out/demo/episode.mcap

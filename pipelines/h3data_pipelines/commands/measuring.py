@@ -1,4 +1,4 @@
-"""Command ``h3data metrics``: tables of recordings and datasets by several profiles, and explanations of values."""
+"""Command ``h3data metrics``, which makes tables of recordings and datasets by several profiles and explains values."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Compute task metrics from recordings alone, with 95% intervals; compare two runs; explain a value.
+    """Compute task metrics from recordings alone, with 95% intervals, compare two runs, or explain a value.
 
     Profiles: `paper` (S, SPS, F, CR, BYR, TD, FD and SR, RE, CR, RC, TS as published), `habitat` and `habitat@0.3.0` (as
     habitat-lab computes them, bug for bug), `field` (proxemics, efficiency, smoothness), `partnr` (percent complete and
-    others), `task` (success, reward, time of any task), and those of installed packages.
+    others), `task` (success, reward, time of any task), and the profiles of installed packages.
 
     Examples:
         h3data metrics out/demo/episode.mcap
@@ -40,18 +40,20 @@ class Metrics:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, datasets, and folders of these, which are walked, or their URIs; or `list`; or
+    """.mcap files, datasets, folders of these, which are searched recursively, or their URIs; or `list`; or
     `explain NAME [RECORDING]`."""
     profile: str | None = None
     """Name of a profile, or module:name (default: the profile of the recordings' task)."""
     paired: bool = False
-    """Compare two runs over the same episodes, one by one."""
+    """Compare two runs over the same episodes, episode by episode."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Also write the result to this file: .json, or one row per episode as .csv or .parquet."""
     series: Path | None = None
-    """Write the per-row quantities and flags behind the metrics to this .parquet or .csv."""
+    """Also write the per-row quantities and flags from which the metrics are computed to this .parquet or .csv file."""
     events: Path | None = None
-    """Write the spans of rows in which flags hold (found, yields, collision, ...) to this .parquet or .csv."""
+    """Also write the spans of rows in which flags hold (found, yields, collision, ...) to this .parquet or .csv
+    file.
+    """
     workers: int | None = None
     """Number of threads (default: one per core), or of Ray's workers."""
     executor: ExecutorOption = "local"

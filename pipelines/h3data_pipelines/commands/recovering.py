@@ -13,7 +13,7 @@ from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file
 
 @dataclass(frozen=True)
 class Recover:
-    """Save all complete steps of a damaged or unfinished recording (.mcap, .mcap.part) as a new one.
+    """Save all complete steps of a damaged or unfinished recording (.mcap, .mcap.part) as a new recording.
 
     Examples:
         h3data recover out/demo/episode.mcap.part -o saved.mcap
@@ -22,7 +22,7 @@ class Recover:
     recording: tyro.conf.Positional[Path]
     """An .mcap file, or the .part file that an interrupted run left."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """New recording; the old file stays."""
+    """New recording to write; the old file is kept."""
     force: ForceFlag = False
     json: JsonFlag = False
 

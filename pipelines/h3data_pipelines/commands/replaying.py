@@ -19,9 +19,9 @@ class ReplayCommand:
     """Simulate the recorded actions again: compare every step, continue from any step, or swap the robot's policy.
 
     --verify names the first step, column and values that differ. --resume-from K keeps the first K steps and simulates the
-    rest, under the episode's own policy or another. --counterfactual keeps people on their recorded tracks, where they do
-    not react, and lets another policy drive the robots. --added-time leaves the robots out.
-    For recordings of social_nav, rearrange and wander.
+    rest, under the episode's own policy or another. --counterfactual keeps people on their recorded tracks, without
+    reactions, and lets another policy drive the robots. --added-time leaves the robots out. The command supports
+    recordings of social_nav, rearrange and wander.
 
     Examples:
         h3data replay out/demo/episode.mcap --verify
@@ -41,13 +41,13 @@ class ReplayCommand:
     resume_from: int | None = None
     """Number of steps to keep; the rest is simulated."""
     counterfactual: bool = False
-    """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
+    """Keep people on their recorded tracks while robots follow --policy, from --resume-from or from the start."""
     added_time: bool = False
-    """Simulate people of crowds again without robots, to compute by how many seconds the robots delay each of them."""
+    """Simulate people of crowds again without robots, and compute the delay that robots cause for each person [s]."""
     policies: tuple[str, ...] = ()
-    """Policy of the robot, or of each robot in turn (default: the recording's own). h3data generate TASK --help lists them."""
+    """Policies of the robots in turn (default: those of the recording). h3data generate TASK --help lists them."""
     partners: tuple[str, ...] = ()
-    """rearrange: policy of the person, or of each person in turn, as for h3data generate (default: the recording's own)."""
+    """Policies of the people in turn, for rearrange, as for h3data generate (default: those of the recording)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """File of the new recording (.mcap)."""
     force: ForceFlag = False

@@ -1,4 +1,4 @@
-"""Command ``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
+"""Command ``h3data sql``, which runs DuckDB queries over the steps, episodes and events of Parquet datasets."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ _READ_ONLY = {"enable_external_access": "false", "python_enable_replacements": "
 class Sql:
     """Query Parquet datasets with SQL.
 
-    By DuckDB: pip install "h3data[sql]". Reads only what the query needs, writes nothing.
+    The command needs DuckDB (pip install "h3data[sql]"). It reads only the data that the query needs, and writes
+    nothing.
 
     Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: h3data docs queries):
         steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.
@@ -86,7 +87,7 @@ class Sql:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: str | None = None
-    """Profile of the metrics in the view episodes (default: that of each episode's task)."""
+    """Profile of the metrics in the view episodes (default: the profile of each episode's task)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -125,10 +126,10 @@ class Sql:
 def connect(
     datasets: dict[str, Dataset], *, profile: str | None = None, metrics: bool = True
 ) -> duckdb.DuckDBPyConnection:
-    """Return a DuckDB connection with the views over ``datasets`` (by name), which can read nothing else and write nothing.
+    """Return a read-only DuckDB connection with views over ``datasets`` (by name), which has no access to other files.
 
-    The view ``episodes`` has the metrics of ``profile`` (default: that of each episode's task); without ``metrics`` it has
-    none, and nothing is measured.
+    The view ``episodes`` has the metrics of ``profile`` (default: the profile of each episode's task). If ``metrics``
+    is False, it has no metrics, and nothing is measured.
 
     Raises:
         MissingExtraError: DuckDB is not installed.
@@ -157,11 +158,11 @@ def connect(
 
 
 def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPyRelation:
-    """Return the result of one query, not yet computed.
+    """Return the result of one query, which is computed lazily.
 
     Raises:
-        InputError: the query is not a single reading statement.
-        duckdb.Error: it is not SQL, or names a view or column that does not exist; see `explained_errors`.
+        InputError: the query is not a single read-only statement.
+        duckdb.Error: the query is not valid SQL, or names a view or column that does not exist; see `explained_errors`.
     """
     import duckdb
 
@@ -176,7 +177,7 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors() -> Iterator[None]:
-    """Turn DuckDB's errors into an `InputError` of one line, whose message names the closest columns."""
+    """Turn DuckDB's errors into an `InputError` with one line, which names the closest columns."""
     import duckdb
 
     try:
@@ -329,7 +330,10 @@ def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
 
 
 def step_source(dataset: DatasetFolder) -> pads.Dataset:
-    """Return all committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
+    """Return all committed steps as a lazy source, of which engines read only the columns and row groups they need.
+
+    Values of type float16 become float32.
+    """
     import pyarrow.dataset as pads  # imports pandas where it is installed: half a second of every command
 
     schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
@@ -343,7 +347,7 @@ def step_source(dataset: DatasetFolder) -> pads.Dataset:
 
 
 def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
-    """Return all records with their ``episode_index``.
+    """Return all records of one kind with their ``episode_index``.
 
     ``kind`` is ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``.
     """
@@ -353,7 +357,7 @@ def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
 
 
 def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> list[int]:
-    """Return the numbers of the shards in the episode tables, optionally only those that have steps."""
+    """Return the numbers of the shards in the episode tables, optionally only of shards that have steps."""
     rows = dataset.rows
     return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
 

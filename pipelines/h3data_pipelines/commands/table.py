@@ -72,15 +72,16 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "plan": Plan,
     "completion": Completion,
 }
-"""Commands in the order in which help lists them. None stands for one that another package registers; others follow in
-alphabetical order."""
+"""Commands in the order in which help lists them. None stands for a command that another package registers. All other
+commands follow in alphabetical order.
+"""
 REGISTRY: Registry[type[Command] | Group] = Registry(
     "h3data.commands", {name: command for name, command in TABLE.items() if command is not None}, what="command"
 )
 
 
 def all_commands() -> dict[str, type[Command] | Group]:
-    """Return every command by name: those of the table, and those that installed packages register in ``h3data.commands``."""
+    """Return every command by name, including those that installed packages register in ``h3data.commands``."""
     found = REGISTRY.load_all()
     listed = (*(name for name in TABLE if name in found), *sorted(found.keys() - TABLE.keys()))
     Completion.commands = commands = {name: found[name] for name in listed}

@@ -1,4 +1,4 @@
-"""Command ``h3data validate``: faults of recordings, as a table or as JSON."""
+"""Command ``h3data validate``, which finds faults of recordings and prints them as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SHOWN = 4
 
 @dataclass(frozen=True)
 class Validate:
-    """Check recordings for errors; exits with code 1 if there are any.
+    """Check recordings for errors; the exit code is 1 if there are any.
 
     The checks cover schema, time, values, unit quaternions, the hash chain, jumps, penetrations, sliding feet, missing
     assets and videos. An error means that the recording is wrong, a warning that something about it is unusual.
@@ -47,7 +47,9 @@ class Validate:
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     parts: bool = False
-    """Check every part of every agent, and what it holds, against walls and furniture (FCL; about 1 ms per agent and step)."""
+    """Check every part of every agent and the things it holds against walls and furniture (FCL; about 1 ms per agent
+    and step).
+    """
     strict: bool = False
     """Count warnings as errors."""
     workers: int = 1
@@ -56,7 +58,7 @@ class Validate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Check all episodes, in several processes if asked to, and return the findings."""
+        """Check all episodes, with ``workers`` processes, and return the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
@@ -79,7 +81,7 @@ class Validate:
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
-        """Return findings in one recording, which ``read`` returns."""
+        """Return the findings in one recording, which the function ``read`` returns."""
         from h3data_pipelines.validation.recordings import Finding, validate_recording
 
         steps = 0
@@ -109,7 +111,7 @@ class Validate:
 
 
 def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
-    """Return the rows of a part."""
+    """Return the findings in the recordings of one part of the job."""
     from h3data.recording.assets.library import AssetLibrary
 
     library = AssetLibrary(command.assets)
@@ -151,9 +153,9 @@ def _text(rows: list[dict[str, Any]], failed: int) -> str:
 
 
 def read_ahead(stored: Sequence[StoredEpisode], *, most_steps: int) -> Iterator[Callable[[], Recording]]:
-    """Return for each of the episodes in turn a function that returns its recording or raises an `H3DataError`.
+    """Yield for each episode a function that returns its recording or raises an `H3DataError`.
 
-    Episodes that follow each other in a dataset are read together, up to ``most_steps`` steps at once.
+    Consecutive episodes of a dataset are read together, up to ``most_steps`` steps at once.
     """
     for group in _consecutive(stored, most_steps):
         first = group[0]

@@ -1,1 +1,1 @@
-"""Executors of jobs: processes of this machine, or a Ray cluster. They take shards and return results in the same order."""
+"""Executors of jobs (local processes or a Ray cluster), which take shards and return results in the same order."""

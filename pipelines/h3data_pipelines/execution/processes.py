@@ -23,7 +23,7 @@ from h3data.commands.shards import LostShardError, R, S
 _log = logging.getLogger(__name__)
 
 TRIES = 3
-"""Number of times that a shard is begun before it is given up, if its process dies each time."""
+"""Number of times that a shard is started before it is given up because its process died each time."""
 _AHEAD = 4
 """Number of shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
 
@@ -35,13 +35,13 @@ def core_count() -> int:
 
 @contextmanager
 def local_processes(address: str, workers: int) -> Iterator[Processes]:
-    """Run the block with the executor ``local``, which has no address."""
+    """Provide the executor ``local`` for a block; it takes no address."""
     yield Processes(workers)
 
 
 @dataclass(frozen=True)
 class Processes:
-    """Executor ``local``."""
+    """Executor ``local``, which runs shards in processes of this machine."""
 
     workers: int
 
@@ -58,7 +58,10 @@ class Processes:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """See `Executor.run`. When a process dies, each shard that was under way is tried again with the machine to itself."""
+        """Run shards as `Executor.run` does.
+
+        If a process dies, each shard that was being processed is tried again alone on the machine.
+        """
         if self.workers <= 1 or len(shards) <= 1:
             yield from map(work, shards)
             return

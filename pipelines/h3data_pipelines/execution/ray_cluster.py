@@ -1,8 +1,8 @@
 """Execution of shards by the workers of a Ray cluster, or of Ray on this machine.
 
-Ray only carries shards and results; which shards there are, and their results, are those of `Processes`. A worker or node
-that dies costs the shards it had: they are tried again. A straggler is tried a second time when nothing else is left to
-begin, and the first result counts.
+Ray only transports shards and results; the shards and their results equal those of `Processes`. If a worker or node
+dies, its shards are tried again. A slow shard is started a second time when no other shard is left to start, and the
+first result counts.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
 
 TRIES = 4
-"""Number of times that a shard is begun before it is given up, if its process dies each time."""
+"""Number of times that a shard is started before it is given up because its process died each time."""
 NODE_TRIES = 20
-"""Number of tries if the whole node dies, for which the shard is hardly to blame."""
+"""Number of times that a shard is started if the whole node dies, which is hardly caused by the shard."""
 _AHEAD = 4
 """Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
@@ -49,8 +49,8 @@ def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
     """Connect to a Ray cluster for the executors ``ray`` and ``ray://host:port``.
 
     Args:
-        address: a Ray Client server, usually on the cluster's head. Empty means the cluster that runs here or that
-            RAY_ADDRESS names; otherwise Ray is started on this machine.
+        address: a Ray Client server, usually on the cluster's head node. Empty means the cluster that runs on this
+            machine or that RAY_ADDRESS names; if there is none, Ray is started on this machine.
         workers: number of workers.
 
     Raises:
@@ -132,7 +132,7 @@ def _signals_kept() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class RayWorkers:
-    """Executor ``ray``."""
+    """Executor ``ray``, which runs shards on the workers of a Ray cluster."""
 
     workers: int
     threads: int = 1
@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """Run shards as `Executor.run`. An exception ends the job; a process that dies costs only its shards."""
+        """Run shards; an exception ends the job, but a process that dies affects only its own shards."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):

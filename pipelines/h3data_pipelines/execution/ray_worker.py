@@ -42,7 +42,10 @@ _DECIDES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True)
 class Origin:
-    """Properties of the requesting process that a worker must share to give the same bytes, and its working directory."""
+    """Properties of the requesting process that a worker must share, and its working directory.
+
+    A worker with the same properties computes identical bytes.
+    """
 
     code: str
     """Digest of the source files of h3data."""
@@ -58,18 +61,18 @@ class Origin:
         return cls(source_digest(), packages, os.getcwd())
 
     def to_json(self) -> str:
-        """Encode all fields as JSON; the inverse of `from_json`."""
+        """Encode all fields as JSON types, as the inverse of `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
-        """Return the origin from the JSON that `to_json` returned."""
+        """Return the origin encoded in the JSON that `to_json` returned."""
         return cls(**json.loads(text))
 
 
 @functools.cache
 def source_digest() -> str:
-    """Return the SHA-256 (hex) of all source files of h3data, which differs after any edit."""
+    """Return the SHA-256 (hex) of all source files of h3data, which changes with any edit."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         spec = find_spec(package)
@@ -81,7 +84,7 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """Carry out the work on a shard in a worker.
+    """Process a shard in a worker.
 
     Returns:
         ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or
@@ -127,7 +130,7 @@ def _pickled(error: Exception) -> bytes:
 
 
 def portable_task() -> Callable[[str, bytes], tuple[str, Any]]:
-    """Return the function that Ray sends to workers by value, so that it can report that a node lacks the package."""
+    """Return the function that Ray sends to workers by value, so that it can report if a node lacks the package."""
 
     def h3data_shard(origin: str, payload: bytes) -> tuple[str, Any]:
         import platform

@@ -1,1 +1,1 @@
-"""Sharing of datasets: cards that describe them, and the Hugging Face Hub."""
+"""Sharing of datasets on the Hugging Face Hub, with cards that describe them."""

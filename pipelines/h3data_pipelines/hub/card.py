@@ -1,4 +1,4 @@
-"""Command ``h3data card``: a README.md for a dataset, as the Hugging Face Hub shows it."""
+"""Command ``h3data card``, which writes a README.md for a dataset, as the Hugging Face Hub displays it."""
 
 from __future__ import annotations
 
@@ -30,12 +30,14 @@ log = logging.getLogger(__name__)
 
 CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
-"""Number of episodes in the picture."""
+"""Number of episodes in the picture of a card."""
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
-"""Number of moments of an episode from which the one with the most visible things is chosen, and the width of the
+"""Number of moments of an episode from which the moment with the most visible things is chosen, and the width of the
 pictures for this choice [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20
-"""Share of a picture that a visible thing covers, and the number of other things that an agent counts for."""
+"""Smallest share of a picture that a visible thing covers, and the number of things that one visible agent counts
+as.
+"""
 _HEIGHT, _WIDTH = 180, 320
 _LISTED = 12
 
@@ -49,13 +51,13 @@ def card(
     repo: str = "user/name",
     force: bool = False,
 ) -> Path:
-    """Write README.md for a dataset; options as of ``h3data card``.
+    """Write README.md for a dataset, with the options of ``h3data card``.
 
     Returns:
-        The file.
+        The path of README.md.
 
     Raises:
-        InputError: the dataset has one.
+        InputError: the dataset already has a README.md.
     """
     return result_of(Card, locals())
 
@@ -64,8 +66,9 @@ def card(
 class Card:
     """Write a card for a dataset: README.md and a picture.
 
-    README.md says what is in the dataset, how good the episodes are, how they were made and how to load them, with the front
-    matter that the Hugging Face Hub reads. The picture is card.jpg. h3data push writes a card if there is none.
+    README.md describes the contents of the dataset, the quality of its episodes, how they were made and how to load
+    them, with the front matter that the Hugging Face Hub reads. The picture is card.jpg. h3data push writes a card if
+    the dataset has none.
 
     Examples:
         h3data card ds/ --license cc-by-4.0
@@ -80,7 +83,7 @@ class Card:
     license: str
     """License of the data, by its name on the Hub: cc-by-4.0, mit, ..."""
     repo: str
-    """Name on the Hub, for the lines that load it."""
+    """Name of the dataset on the Hub, for the example code that loads it."""
     dry_run: DryRunFlag = False
     force: ForceFlag
     json: JsonFlag = False
@@ -272,7 +275,7 @@ def _seeds(seeds: Iterable[int]) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 def card_picture(dataset: Dataset) -> NDArray[np.uint8] | None:
-    """Return moments of some episodes side by side, above the first camera's views of them; None without steps."""
+    """Render moments of some episodes side by side, above the first camera's views; return None without steps."""
     played = [row["episode_index"] for row in dataset.rows if row["length"]]
     if not played:
         return None

@@ -1,4 +1,4 @@
-"""SHA-256 of every file of a dataset, in ``h3/checksums.json``, for comparison of a copy with the original."""
+"""SHA-256 of every file of a dataset in ``h3/checksums.json``, for the comparison of a copy with the original."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from h3data.recording.storage import AnyPath, open_binary
 
 FILE = "h3/checksums.json"
 PARTS = ("meta", "data", "h3", "videos")
-"""Folders of a dataset. Its card, which people edit on the Hub, is not compared."""
+"""Folders of a dataset whose files are compared; its card, which people edit on the Hub, is not."""
 _BLOCK = 8 << 20
 
 
 def files_of(root: Path) -> list[str]:
-    """Return paths of all files of a dataset below its root, without leftovers of an interrupted writer and the checksums."""
+    """Return the paths of all files of a dataset relative to its root, without checksums and unfinished files."""
     found = (path for part in PARTS for path in (root / part).rglob("*") if path.is_file())
     names = (path.relative_to(root).as_posix() for path in found if path.suffix != ".part")
     return sorted(name for name in names if name != FILE)
 
 
 def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
-    """Return the SHA-256 of files by their path below ``root``."""
+    """Return the SHA-256 of files by their path relative to ``root``."""
     return {name: file_sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
 
 
 def to_json(checksums: Mapping[str, str]) -> bytes:
-    """Return the contents of `FILE`."""
+    """Return the contents of the file `FILE` for some checksums."""
     return json.dumps({"sha256": dict(checksums)}, indent=0).encode()
 
 
 def require_checksums(root: Path) -> int:
-    """Compare the files of a copy with the checksums in it; return their number, 0 if there are none.
+    """Compare the files of a copy with its checksums and return the number of checksums.
 
     Raises:
         FormatError: files are missing or damaged; the message names them.
@@ -65,7 +65,7 @@ def require_checksums(root: Path) -> int:
 
 
 def file_sha256(path: AnyPath) -> str:
-    """Return the SHA-256 of a file, also of one in an object store, read in blocks."""
+    """Return the SHA-256 of a local file or a file in an object store, read in blocks."""
     digest = hashlib.sha256()
     with open_binary(path) as stream:
         while block := stream.read(_BLOCK):

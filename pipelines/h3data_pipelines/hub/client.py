@@ -1,4 +1,4 @@
-"""Client of the Hugging Face Hub: its library, the names of datasets, and errors in words."""
+"""Client of the Hugging Face Hub, with names of datasets and readable errors."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ _TOKEN_HINT = "Hint: make a token at https://huggingface.co/settings/tokens, the
 
 
 def checked_repo(repo: str) -> str:
-    """Return the name of a dataset on the Hub, ``user/name``; its address and ``hf://datasets/user/name`` are accepted too.
+    """Return the name of a dataset on the Hub as ``user/name``.
+
+    Its web address and ``hf://datasets/user/name`` are accepted too.
 
     Raises:
-        InputError: it is something else.
+        InputError: the argument has another form.
     """
     name = re.sub(r"^(https?://[^/]+/datasets/|hf://datasets/)", "", repo).strip("/")
     if not _REPO.fullmatch(name):
@@ -45,7 +47,7 @@ def hub_api() -> Any:
 
 @contextmanager
 def hub_errors(repo: str, *, to: str) -> Iterator[None]:
-    """Turn errors of the Hub into an `InputError` with advice, and turn its progress bars off.
+    """Turn errors of the Hub into an `InputError` with advice, and disable the Hub's progress bars.
 
     Args:
         repo: Name of the dataset.

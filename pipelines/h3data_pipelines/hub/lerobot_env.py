@@ -1,4 +1,4 @@
-"""Folder with the ``env.py`` that LeRobot expects on the Hub: the environment of a dataset."""
+"""Folder with the ``env.py`` that LeRobot expects on the Hub, which provides the environment of a dataset."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ FILES = ("env.py", "requirements.txt", "README.md")
 
 
 def write_env(dataset: Dataset, folder: Path, *, repo: str) -> list[Path]:
-    """Write ``env.py``, ``requirements.txt`` and ``README.md`` for a dataset that is ``repo`` on the Hub; returns their paths.
+    """Write ``env.py``, ``requirements.txt`` and ``README.md`` for the Hub dataset ``repo``, and return their paths.
 
-    LeRobot looks for ``env.py`` in a repository of models, which is another one than that of the dataset with the same name.
+    LeRobot looks for ``env.py`` in a model repository, which is separate from the dataset repository of the same name.
 
     Raises:
-        InputError: the dataset was not exported to LeRobot, or the folder holds other files of these names.
+        InputError: the dataset was not exported to LeRobot, or the folder holds different files with these names.
     """
     shown = read_demonstrations(dataset.root)
     cameras = ", ".join(f"{camera.key} [{camera.stored_height}, {camera.stored_width}, 3]" for camera in shown.cameras)

@@ -1,4 +1,4 @@
-"""Commands that made a dataset, stored in ``h3/commands.json``."""
+"""Record of the commands that made a dataset, stored in ``h3/commands.json``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ FILE = "commands.json"
 
 
 def write_commands(root: AnyPath, commands: Sequence[str]) -> None:
-    """Store the commands, in order."""
+    """Store the commands that made a dataset, in order."""
     write_atomic(root / "h3" / FILE, json.dumps({"commands": list(commands)}, indent=1, ensure_ascii=False).encode())
 
 
 def read_commands(root: AnyPath) -> list[str]:
-    """Return the commands that made a dataset; none if nothing is known."""
+    """Return the commands that made a dataset; empty if none are recorded."""
     try:
         found = json.loads((root / "h3" / FILE).read_bytes())["commands"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -1,4 +1,4 @@
-"""Command ``h3data pull``: a dataset from the Hugging Face Hub."""
+"""Command ``h3data pull``, which downloads a dataset from the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BESIDE = ("README.md", "card.jpg")
 
 @suggest_keywords
 def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = False) -> Path:
-    """Download a dataset from the Hugging Face Hub; options as of ``h3data pull``.
+    """Download a dataset from the Hugging Face Hub, with the options of ``h3data pull``.
 
     Returns:
         The dataset's folder.
@@ -39,7 +39,7 @@ def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = Fals
     Raises:
         MissingExtraError: the extra ``hub`` is not installed.
         InputError: there is no such dataset, or the Hub cannot be reached.
-        FormatError: what came is not what was pushed.
+        FormatError: the downloaded files differ from those that were pushed.
     """
     return result_of(Pull, locals())
 
@@ -48,9 +48,9 @@ def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = Fals
 class Pull:
     """Download a dataset from the Hugging Face Hub.
 
-    Needs pip install "h3data[hub]". The dataset appears under its name when it is complete and its checksums are right, until
-    then as DIR.part: after an interruption the same command goes on. Private datasets need a token, from `hf auth login` or
-    HF_TOKEN.
+    Requires pip install "h3data[hub]". The dataset appears under its name when it is complete and its checksums are
+    correct. Until then it is DIR.part, and after an interruption the same command continues. Private datasets need a
+    token, from `hf auth login` or HF_TOKEN.
 
     Examples:
         h3data pull user/name -o ds/
@@ -60,7 +60,7 @@ class Pull:
     repo: tyro.conf.Positional[str]
     """Name on the Hub, as user/name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the dataset."""
+    """Folder to which the dataset is downloaded."""
     revision: str
     """Branch, tag or commit."""
     force: ForceFlag

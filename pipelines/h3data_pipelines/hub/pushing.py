@@ -1,4 +1,4 @@
-"""Command ``h3data push``: a dataset onto the Hugging Face Hub."""
+"""Command ``h3data push``, which uploads a dataset to the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath
 
 VERSION_TAG = "v3.0"
-"""Tag of the revision that LeRobot loads: the version of its format."""
+"""Tag of the revision that LeRobot loads, which is the version of LeRobot's format."""
 _BATCH = 16
 """Number of files uploaded between two updates of the progress bar."""
 
 
 @suggest_keywords
 def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "", env: FilePath | None = None) -> str:
-    """Upload a dataset to the Hugging Face Hub; options as of ``h3data push``.
+    """Upload a dataset to the Hugging Face Hub, with the options of ``h3data push``.
 
     Returns:
-        Its address.
+        The web address of the dataset.
 
     Raises:
         MissingExtraError: the extra ``hub`` is not installed.
-        InputError: there is no token, it has no right to write, or the Hub cannot be reached.
+        InputError: there is no token, the token has no right to write, or the Hub cannot be reached.
     """
     return result_of(Push, locals())
 
@@ -50,9 +50,9 @@ def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = 
 class Push:
     """Upload a dataset to the Hugging Face Hub.
 
-    Needs pip install "h3data[hub]". Everything appears in one commit, or nothing. After an interruption the same command goes
-    on: files that are uploaded are not uploaded again. The token comes from `hf auth login` or HF_TOKEN, the server from
-    HF_ENDPOINT.
+    Requires pip install "h3data[hub]". All files appear in one commit. After an interruption the same command
+    continues, and files that are on the Hub already are not uploaded again. The token comes from `hf auth login` or
+    HF_TOKEN, and the server from HF_ENDPOINT.
 
     Examples:
         h3data push ds/ user/name
@@ -65,12 +65,13 @@ class Push:
     repo: tyro.conf.Positional[str]
     """Name on the Hub, as user/name; created if it does not exist."""
     private: bool
-    """Create it as a private dataset. An existing dataset stays as it is."""
+    """Create the dataset as private; an existing dataset keeps its visibility."""
     message: str
     """Message of the commit."""
     env: Path | None
-    """Folder for env.py, requirements.txt and README.md: the environment of a dataset that was exported to LeRobot, for a
-    repository of models of the same name, which `hf upload user/name FOLDER .` fills."""
+    """Folder for env.py, requirements.txt and README.md, which provide the environment of a dataset that was exported
+    to LeRobot. `hf upload user/name FOLDER .` uploads them to a model repository of the same name.
+    """
     dry_run: DryRunFlag = False
     json: JsonFlag = False
 

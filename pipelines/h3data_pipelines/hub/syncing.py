@@ -1,4 +1,4 @@
-"""Command ``h3data sync``: a copy of a dataset in another folder or object store, and its update."""
+"""Command ``h3data sync``, which copies a dataset to another folder or object store, or updates such a copy."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ _WRITER = "h3/writer"
 
 @suggest_keywords
 def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
-    """Copy a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
+    """Copy a dataset to another folder or object store, or update such a copy, with the options of ``h3data sync``.
 
     Returns:
         The location of the copy.
 
     Raises:
         InputError: the source is no dataset, or the target holds anything but a copy of it.
-        FormatError: a file arrived otherwise than it was sent.
+        FormatError: a copied file differs from its source.
     """
     return result_of(Sync, locals())
 
 
 @command_of(sync)
 class Sync:
-    """Copy a dataset between folders and object stores, or only what is missing in a copy.
+    """Copy a dataset between folders and object stores, or only the files that a copy lacks.
 
-    Every file is compared by SHA-256: those that are there already, and each copy once it is written. The tables that list
-    episodes go last, so the copy holds whole episodes at any time, and after an interruption the same command goes on. The
-    source may still be growing.
+    Every file is compared by SHA-256, both the files that exist already and each new copy. The tables that list
+    episodes are copied last, so the copy holds complete episodes at any time, and after an interruption the same
+    command continues. The source may still be growing.
 
     Examples:
         h3data sync ds/ s3://bucket/ds

@@ -1,4 +1,4 @@
-"""Tables of robots by partners (cross-play): means with intervals, followed by the paper's zero-shot and training results."""
+"""Cross-play tables of robots by partners, with means and intervals, and the paper's zero-shot and training results."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary,
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
 ZSC_COLUMN, ZSC_TEN_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC ten", "ZSC mean"
-"""Heads of the columns for the paper's four planners, for these and six learned partners, and for a population that the
-user names."""
+"""Headings of the zero-shot columns: the paper's four planners, these and six learned partners, or a population that
+the user names.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +31,11 @@ class Row:
     policy: str
     partner: str
     plan: str
-    """Plan of the partner in this episode."""
+    """Name of the partner's plan in this episode."""
     ended: str
     solo_steps: int
     values: dict[str, float | None]
-    """Values of the paper's metrics; None = undefined."""
+    """Values of the paper's metrics; None if undefined."""
     state_hash: str
     set_up: str = ""
     """Rules of the episode that differ from the paper's."""
@@ -58,7 +59,7 @@ class CrossPlayTable:
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Return a table for each metric, followed by the paper's rows; a sentence if there are no results."""
+        """Return a table for each metric, followed by the paper's rows, or a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         blocks = [
@@ -83,7 +84,7 @@ class CrossPlayTable:
         return SeedsSummary(each={name: cell for name, cell in found.items() if cell is not None})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None, and ``seeds`` has the rows of several policies."""
         pooled = [
             {
                 "metric": metric.name,
@@ -114,10 +115,10 @@ def cross_play_table(
     """Return the table of many results.
 
     Args:
-        rows: One for each robot, partner and episode.
-        zsc: Partners of the zero-shot population (default: the paper's four planners, and these with six learned partners, if
-            all are there).
-        seeds: Policies of robots that are one row, by the pattern that names them.
+        rows: Results, one for each robot, partner and episode.
+        zsc: Partners of the zero-shot population (default: the paper's four planners, and these with six learned
+            partners, if all of them are present).
+        seeds: Policies of robots that share one row, by the pattern that names them.
     """
     from sim_kinematic.policies.rearrange import zsc_populations
 

@@ -1,4 +1,4 @@
-"""Episode files as jobs, and jobs as an episode file."""
+"""Conversion of episode files to jobs, and of jobs to an episode file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SHOWN = 20
 
 
 class FileJobs(NamedTuple):
-    """Episodes of a file."""
+    """Jobs for the episodes of a file."""
 
     jobs: Sequence[Job]
     left_out: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class MissingEpisodes(Protocol):
 
 
 def notes_on(made: MissingEpisodes) -> str:
-    """Return lines on missing data of a file, each after a line break."""
+    """Return lines about missing data of a file, each preceded by a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
         lines += [f"{word} {text}" for text in texts[:_SHOWN]]
@@ -61,7 +61,7 @@ def notes_on(made: MissingEpisodes) -> str:
 
 
 class EpisodeRequest(Protocol):
-    """Request for the episodes of a command: those of a file, or of scenes."""
+    """Request for the episodes of a command, which come from a file or are sampled in scenes."""
 
     @property
     def episodes_file(self) -> Path | None:
@@ -85,12 +85,12 @@ class EpisodeRequest(Protocol):
 
     @property
     def allow_missing(self) -> bool:
-        """Return whether scenes may lack assets."""
+        """True if scenes may lack assets."""
         ...
 
     @property
     def episodes(self) -> int | None:
-        """Number of episodes; None for all of a file or set."""
+        """Number of episodes; None for all episodes of a file or set."""
         ...
 
     @property
@@ -100,7 +100,7 @@ class EpisodeRequest(Protocol):
 
 
 def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: tuple[str, ...]) -> FileJobs:
-    """Return the episodes of ``request``, which cannot name both a file and scenes other than the default ones.
+    """Return the jobs of a request, which cannot name both a file and scenes other than the default ones.
 
     Raises:
         FormatError, InputError, SceneError: see `file_jobs` and `make_jobs`.
@@ -124,7 +124,7 @@ def file_jobs(
 ) -> FileJobs:
     """Return the first ``episodes`` episodes of an episode file that the task can play.
 
-    ``seed`` decides what the file leaves to chance: the starts in Habitat's own files.
+    ``seed`` determines values that the file does not define, such as the starts in Habitat's own files.
 
     Raises:
         FormatError: the file is damaged.
@@ -215,7 +215,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 
 def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
-    """Return one step of an episode with the most objects, for the columns of a dataset whose episodes differ in that."""
+    """Return one step of an episode with the most objects, which determines the columns of a dataset."""
     counts = [getattr(job.spec, "objects", 0) for job in jobs]
     if len(set(counts)) < 2:
         return ()
@@ -229,7 +229,7 @@ def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
 
 # --- writing ----------------------------------------------------------------------------------------------------------
 def claim_episode_file(path: Path, *, force: bool) -> None:
-    """Refuse a file that exists or is not called like an episode file."""
+    """Raise an `InputError` if a file exists or does not have the name of an episode file."""
     if not path.name.endswith((".json.gz", ".json")):
         raise InputError(
             f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}", code="H3-JOB-014"
@@ -238,7 +238,7 @@ def claim_episode_file(path: Path, *, force: bool) -> None:
 
 
 def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
-    """Write the episodes of jobs as a file from which `file_jobs` makes the same jobs; return reasons for left-out ones.
+    """Write episodes of jobs to a file that `file_jobs` can read; return the reasons for episodes that are left out.
 
     Raises:
         SceneError: no episode can be sampled.

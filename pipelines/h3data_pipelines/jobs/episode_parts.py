@@ -1,4 +1,4 @@
-"""The episodes below paths as shards, for jobs that read recordings."""
+"""Division of the episodes below paths into shards, for jobs that read recordings."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from h3data.recording.storage import AnyPath
 
 @dataclass(frozen=True)
 class EpisodePart:
-    """Some of the episodes that `find_episodes` finds below paths."""
+    """Shard with some of the episodes that `find_episodes` finds below paths."""
 
     paths: tuple[AnyPath, ...]
     indices: range
     count: int
     """Total number of parts."""
     job: str
-    """Name of the job of the part; within a job, each process searches the paths once."""
+    """Name of the job to which the part belongs; within a job, each process searches the paths once."""
 
     def sources(self) -> Sequence[StoredEpisode]:
-        """Return the episodes of this part."""
+        """Sources of the episodes of this part."""
         found = _found(self.paths, self.job)
         return [found[index] for index in self.indices]
 
@@ -33,7 +33,7 @@ def episode_parts(paths: Sequence[AnyPath], *, together: int) -> list[EpisodePar
     """Return all episodes below paths, in order, in parts of at most ``together`` episodes.
 
     Raises:
-        InputError: there is no such path, or nothing below it.
+        InputError: a path does not exist, or there is no recording below it.
     """
     job, where = uuid.uuid4().hex, tuple(paths)
     count = len(_found(where, job))

@@ -1,4 +1,4 @@
-"""Episodes to simulate, one job each, of any task: from presets and scenes with a seed, and from scene sets."""
+"""Jobs that each simulate one episode of any task, sampled in scenes from a seed or taken from scene sets."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 SAMPLED_BODIES = ("any", "random")
-"""Name that stands for sampled bodies: each episode samples a built-in body, or makes a body from its seed."""
+"""Names of bodies that are sampled: each episode samples a built-in body, or makes a body from its seed."""
 SOLO = "solo"
 """Name of the policy for episodes without robots."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Episode to simulate, with all data for a worker."""
+    """Job that simulates one episode, with all data that a worker needs."""
 
     index: int
     seed: int
@@ -43,21 +43,21 @@ class Job:
     spec: Any
     """Rules of the task."""
     policy: str | None = None
-    """Policies of robots; None: the task's default."""
+    """Policies of robots; None for the task's default."""
     partner: str | None = None
     """Policies of people."""
     agents: tuple[str, ...] | None = None
-    """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
+    """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None for the task's roster."""
     human: str | None = None
-    """Model of a person for agents of the kind ``human``; None: the episode's, else the default."""
+    """Body of agents of the kind ``human``; None for the body in the episode, or the default."""
     robot: str | None = None
-    """Model of a robot for agents of the kind ``robot``."""
+    """Body of agents of the kind ``robot``."""
     drawn_with: Any = None
-    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes."""
+    """Rules with which a set's starts and goals are sampled, regardless of changes in ``spec``."""
     stored: StoredEpisode | None = None
-    """The task's record of the episode, from a file."""
+    """Record of the episode from a file, in the form of the task's codec."""
     origin: dict[str, Any] | None = None
-    """Episode set or file from which the episode comes, and its number there, as in the recording."""
+    """Episode set or file from which the episode comes, and its number in it, as in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
@@ -88,13 +88,13 @@ class Job:
 
     @cached_property
     def found_task(self) -> Task:
-        """Return the task of the episode."""
+        """Return the task of the job."""
         from sim_kinematic.tasks.registry import find_task
 
         return find_task(self.task)
 
     def episode(self) -> Episode:
-        """Return the episode with scene, starts and rules, ready to run."""
+        """Return the episode with scene, starts and rules, ready to be played."""
         from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
         from sim_kinematic.tasks.codec import EpisodePlace
@@ -147,7 +147,7 @@ ORACLE = "oracle"
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Choices of the user; for None, the episode or the task decides."""
+    """Choices of the user; fields that are None are decided by the episode or the task."""
 
     task: str
     policy: str | None = None
@@ -155,7 +155,7 @@ class Choices:
     agents: tuple[str, ...] | None = None
     human: str | None = None
     motion: str | None = None
-    """Motion file of people's gait."""
+    """Motion file with the gait of people."""
     robot: str | None = None
     rules: str | None = None
     """Name of a set of rules."""
@@ -167,7 +167,7 @@ class Choices:
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
     oracle: bool = False
-    """Oracle skills in rearrangement (`sim_kinematic.tasks.rearrange.episode.ORACLE_RULES`)."""
+    """True for oracle skills in rearrangement (`sim_kinematic.tasks.rearrange.episode.ORACLE_RULES`)."""
 
     @cached_property
     def found_task(self) -> Task:
@@ -177,7 +177,7 @@ class Choices:
         return find_task(self.task)
 
     def spec(self, base: Any = None) -> Any:
-        """Return the rules: ``base`` (default: the task's) with the changes that the user asks for."""
+        """Return the rules: ``base`` (default: the task's) with the changes that the user has chosen."""
         from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = dataset_rules(self.found_task) if base is None else base
@@ -243,7 +243,7 @@ class Choices:
 
 
 def with_skills(choices: Choices, skills: str) -> Choices:
-    """Return rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
+    """Return rules with learned skills or `ORACLE` skills, or without either if ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.
@@ -265,7 +265,7 @@ def with_skills(choices: Choices, skills: str) -> Choices:
 
 @dataclass(frozen=True)
 class SampledEpisode:
-    """Episode that is sampled from its seed, whatever the task."""
+    """Episode of any task that is sampled from its seed."""
 
     index: int
     seed: int
@@ -310,9 +310,10 @@ def make_jobs(
 ) -> Sequence[Job]:
     """Return jobs for episodes in the given scenes.
 
-    By default all episodes of a set are played, or else 10 episodes in the scenes in turn.
+    By default, all episodes of a set are played, or 10 episodes in the scenes in turn.
 
-    If ``scenes`` has several names, the scenes of all are used; a set has the same episodes as when it is named alone.
+    If ``scenes`` has several names, the scenes of all of them are used. A set has the same episodes as when it is the
+    only name.
 
     Raises:
         InputError: a task, scene, agent or policy does not exist (the message lists what does), or a set has fewer episodes.
@@ -339,7 +340,7 @@ def make_jobs(
 
 
 class SampledJobs(Sequence[Job]):
-    """Episodes distributed over some scenes in turn, each made on demand: a plan of a billion takes no memory."""
+    """Lazy sequence of jobs distributed over some scenes in turn, so that a billion episodes need no memory."""
 
     def __init__(self, choices: Choices, places: Sequence[NamedScene], numbers: range, *, seed: int) -> None:
         self._choices, self._places, self._numbers, self._seed = choices, places, numbers, seed
@@ -364,7 +365,7 @@ class SampledJobs(Sequence[Job]):
 
     @property
     def one_round(self) -> SampledJobs:
-        """First episodes, one in each scene; all others differ from these only in number and seed."""
+        """First episodes, one in each scene; all others differ from these only in their number and seed."""
         return self[: len(self._places)]
 
 
@@ -381,7 +382,7 @@ def most_steps(jobs: Sequence[Job]) -> int:
 
 
 def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
-    """Yield the first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
+    """Yield the first ``episodes`` episodes of a set in a task, or new episodes if ``seed`` is not 0."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i, "" if seed else task)
         origin = {
@@ -397,7 +398,7 @@ def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int
 
 
 def refuse_beside(option: str, **given: bool) -> None:
-    """Refuse options that a stored episode decides already."""
+    """Raise an `InputError` for options that a stored episode already determines."""
     for name, is_given in given.items():
         if is_given:
             raise InputError(
@@ -406,7 +407,7 @@ def refuse_beside(option: str, **given: bool) -> None:
 
 
 def checked(choices: Choices) -> Choices:
-    """Return the choices with learned policies by the digest of their weights, after a check of all names.
+    """Check all names, and return the choices with learned policies named by the digest of their weights.
 
     Raises:
         InputError: there is no such task, agent, policy or body.
@@ -459,7 +460,7 @@ def checked(choices: Choices) -> Choices:
 
 
 def dataset_rules(task: Task) -> Any:
-    """Return the default rules of a task's datasets."""
+    """Return the default rules for datasets of a task."""
     return task.Spec() if task.usage.dataset_rules is None else task.usage.dataset_rules
 
 
@@ -469,7 +470,7 @@ def _named_default(task: Task, kind: str) -> str | None:
 
 
 def stored_person(name: str) -> str:
-    """Return the name of a person in the identity of episodes: a motion by its digest, not by its path."""
+    """Return the name of a person in the identity of episodes, where a digest represents a motion."""
     from h3data.bodies.names import JOIN
 
     if JOIN not in name:
@@ -480,7 +481,7 @@ def stored_person(name: str) -> str:
 
 
 def sampled_body(choice: str, seed: int, person: int = 0) -> str:
-    """Return the body that an episode samples for one of its people: ``any`` of the twelve adults, or a ``random`` one."""
+    """Return the body that an episode samples for a person: ``any`` of the twelve adults, or a ``random`` new body."""
     from h3data.bodies.people.humanoid_file import ADULTS
     from h3data.bodies.people.random_humanoid import PREFIX
     from sim_kinematic.motion.randomness import generator
@@ -492,7 +493,7 @@ def sampled_body(choice: str, seed: int, person: int = 0) -> str:
 
 
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
-    """Return the number of existing episodes to play: all of them, or as many as are wanted."""
+    """Return the number of existing episodes to play: the requested number, or all of them."""
     if there < 1:
         raise InputError(f"There are no episodes in {label}.", code="H3-JOB-022")
     if wanted is not None and wanted > there:

@@ -1,6 +1,6 @@
-"""Evaluations in a folder: a small file of results for each episode, tables of all of them, recordings on request.
+"""Evaluations in a folder, with results of each episode, tables of all results, and optional recordings.
 
-``episodes/000012.json`` has the rows of one episode, ``recordings/000012`` a dataset with the recordings behind them.
+``episodes/000012.json`` has the rows of one episode, and ``recordings/000012`` is a dataset with its recordings.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
 from h3data_pipelines.jobs.result_files import check_options, results_of, write_table
 
 RECORDINGS = "recordings"
-"""Name of the folder of recordings in that of an evaluation."""
+"""Name of the folder of recordings in the folder of an evaluation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationRequest:
-    """Policies, partners and episodes of an evaluation."""
+    """Request for an evaluation, with its policies, partners and episodes."""
 
     task: str
     policies: tuple[str, ...] = (ALL,)
@@ -64,20 +64,22 @@ class EvaluationRequest:
     max_steps: int | None = None
     skills: str = ""
     """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``;
-    empty: skills that know the whole state."""
+    empty for skills that know the whole state."""
     overrides: tuple[tuple[str, Any], ...] = ()
     """Single fields of the task's rules, by name."""
     light: LightMode | None = None
-    """Light in the colours that policies observe; None: that in which each was trained."""
+    """Light in the colours that policies observe; None for the light in which each policy was trained."""
     uids: tuple[str, ...] = ()
-    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in order; empty: any."""
+    """Identity that each episode must have (`h3data_pipelines.jobs.evaluations.episode_uid`), in order; empty if any is
+    allowed.
+    """
 
     def jobs(self) -> list[Evaluation]:
-        """Return all episodes; raise an `InputError` that names a bad option."""
+        """Return the jobs of all episodes, or raise an `InputError` that names an invalid option."""
         return self.evaluations()[0]
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
-        """Return all episodes, and the missing data of a file; raise an `InputError` that names a bad option."""
+        """Return all evaluations and the missing data, or raise an `InputError` for an invalid option."""
         from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
@@ -136,7 +138,7 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``unseen_partners``; learned ones as recorded for partners, by the digest of their weights."""
+        """Names in ``unseen_partners``, in which the digest of their weights names learned policies."""
         from sim_kinematic.policies.learned import stamped
 
         return tuple(dict.fromkeys(map(stamped, self.unseen_partners)))
@@ -152,19 +154,19 @@ class EvaluationResult:
     """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
-    """Number of episodes played now; the others existed already."""
+    """Number of episodes that were played now; the other results existed already."""
     failed: tuple[str, ...]
-    """Episodes that raised an error: episode, seed, names and error."""
+    """Episodes that raised an error, with episode number, seed, names and error."""
     left_out: tuple[str, ...] = ()
     """Episodes of the file that cannot be played, with the reason."""
     warnings: tuple[str, ...] = ()
     """Warnings about stand-ins for missing assets."""
     job: dict[str, Any]
-    """The requested job."""
+    """Job that was requested."""
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
-        """Return the tables, and a list of failures."""
+        """Return the tables and a list of failures as text."""
         return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed) + notes_on(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -194,17 +196,17 @@ def evaluate_task(
 ) -> EvaluationResult:
     """Play every policy with every partner in the same episodes, and write results, tables and recordings to ``out``.
 
-    Episodes whose results are in ``out`` already are not played again.
+    Episodes that already have results in ``out`` are not played again.
 
     Args:
         request: Policies and episodes to evaluate.
-        out: Folder, new or that of an interrupted evaluation with the same options.
+        out: A new folder, or the folder of an interrupted evaluation with the same options.
         save_recordings: True saves recordings, as datasets in ``out/recordings``.
         resume: True requires ``out`` to hold an evaluation, which is continued.
         force: True deletes results in ``out`` first.
         workers: Number of processes.
-        executor: Who starts them: ``local``, ``ray`` or ``ray://host:port``.
-        progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
+        executor: Executor that starts the processes: ``local``, ``ray`` or ``ray://host:port``.
+        progress: Function that creates a progress bar, called with ``total``, ``initial``, ``desc`` and ``unit``.
 
     Raises:
         InputError: an option is invalid, or the folder contains results of other options or other files.

@@ -1,4 +1,4 @@
-"""Policies, each with every partner, in the same episodes: one job for an episode, of any task."""
+"""Evaluation of policies with every partner in the same episodes of any task, with one job for each episode."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Evaluation:
     partners: tuple[str, ...] = ()
     """Policies of the partners; empty if people follow the task's default."""
     keep: bool = False
-    """True if the recordings of all pairs are part of the result."""
+    """True if the recordings of all pairs are returned with the result."""
     uid: str | None = None
     """Identity that the episode must have (`episode_uid`), if a benchmark fixes it."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything that determines the results, as plain values."""
+        """Return all values that determine the results, as JSON types."""
         fields = self.base.to_json()
         fields.pop("policy", None)
         fields.pop("partner", None)
@@ -50,7 +50,7 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
     whose ``info["partners"]`` names them.
 
     Raises:
-        JobStopError: the whole job cannot go on.
+        JobStopError: the whole job cannot continue.
     """
     from h3data.metrics import measure
     from sim_kinematic.tasks.runner import simulate
@@ -107,7 +107,7 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
 
 
 def failed_evaluation(job: Evaluation, fault: Exception) -> dict[str, Any]:
-    """Return the results of an episode of which nothing could be played."""
+    """Return the results of an episode in which nothing could be played."""
     return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
 
 
@@ -121,17 +121,17 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
 
 
 def episode_uid(task: Task, episode: Episode) -> str:
-    """Return the identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
+    """Return the identity of an episode by scene, bodies, starts, goals, seed and rules, but not policies."""
     from sim_kinematic.policies.assignment import AssignedPolicy
 
     return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
 
 
 def check_identity(task: Task, episode: Episode, uid: str) -> None:
-    """Compare an episode with the one of a benchmark's list.
+    """Check that an episode is the one in a benchmark's list.
 
     Raises:
-        InputError: it is another one.
+        InputError: the episode differs.
     """
     if episode_uid(task, episode) != uid:
         raise InputError(
@@ -142,7 +142,7 @@ def check_identity(task: Task, episode: Episode, uid: str) -> None:
 
 
 def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
-    """Write recordings as a dataset that gets its name when it is complete; nothing without recordings."""
+    """Write recordings as a dataset, which gets its name when it is complete; without recordings, write nothing."""
     from h3data.recording import DatasetWriter
 
     part = folder.with_name(f".{folder.name}.part")
@@ -157,7 +157,7 @@ def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def plan_of(task: Any, episode: Any, partner: str | None) -> str:
-    """Return the name by which a partner plays this episode: the plan of one that follows a plan."""
+    """Return the name of the plan that a partner follows in this episode, or of the partner if it follows no plan."""
     if partner is None:
         return ""
     from sim_kinematic.policies.assignment import make_policy
@@ -168,12 +168,13 @@ def plan_of(task: Any, episode: Any, partner: str | None) -> str:
 
 
 def files_of(policy: str) -> tuple[str, ...]:
-    """Return names of the policies that match ``weights:PATTERN``, in the order of their paths; any other name alone.
+    """Return the policies that match ``weights:PATTERN``, in the order of their paths, or any other name unchanged.
 
-    A pattern has ``*``, ``?`` or ``[...]`` as in a shell, ``**`` for any folders; a file of that very name comes first.
+    A pattern has ``*``, ``?`` or ``[...]`` as in a shell, and ``**`` for any folders. A file whose name equals the
+    pattern has priority.
 
     Raises:
-        InputError: no file fits the pattern.
+        InputError: no file matches the pattern.
     """
     from sim_kinematic.policies.learned import PREFIX
 
@@ -189,7 +190,7 @@ def files_of(policy: str) -> tuple[str, ...]:
 def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
     """Return the names of policies that an option selects.
 
-    ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
+    ``all`` selects all policies, and ``weights:PATTERN`` all matching files. Learned policies are named with the digest
     of their weights.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Episodes that raised an error: the job continues, and their place in the dataset states the reason."""
+"""Placeholders for episodes that raised an error, so that a job continues and its dataset states the reason."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_LISTED = 20
 
 
 def reason_of(fault: Exception) -> str:
-    """Return one line about an error with its code; for unexpected errors, also the place."""
+    """Return one line about an error with its code, and for unexpected errors with the code location."""
     if isinstance(fault, H3DataError):
         return " ".join(with_code(fault).split())
     frame = traceback.extract_tb(fault.__traceback__)[-1]
@@ -31,7 +31,7 @@ def reason_of(fault: Exception) -> str:
 
 
 def failed_recording(job: Job, fault: Exception) -> Recording:
-    """Return the episode of a job that raised: no agents, no rows, the error in ``info["failed"]``."""
+    """Return the placeholder of a failed job, without agents and rows, and with the error in ``info["failed"]``."""
     name = f"h3data:failed:{json.dumps(job.to_json())}"
     return Recording(
         episode=Episode(
@@ -59,7 +59,10 @@ def is_failed(recording: Recording) -> bool:
 
 
 def beside(failed: Recording, played: Recording) -> Recording:
-    """Return a failed episode without rows, with the agents, roles and columns of ``played``, for the same dataset."""
+    """Return a failed episode without rows, with the agents, roles and columns of ``played``.
+
+    Both can then be in one dataset.
+    """
     columns = {name: array[:0] for name, array in played.columns.items()}
     nowhere = np.full(7, np.nan, np.float32)
     moving = columns["object_pose"].shape[1] if "object_pose" in columns else 0

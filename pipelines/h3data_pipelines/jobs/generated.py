@@ -1,4 +1,4 @@
-"""Episodes of a generated dataset: their totals, and whether other options would give the same ones."""
+"""Totals of the episodes of a generated dataset, and a check whether other options would give the same episodes."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ class Generated:
 
     dataset: Dataset
     new: int
-    """Number of episodes of this run; the others existed before it resumed."""
+    """Number of episodes that this run played; the others existed before it resumed."""
     failed: tuple[str, ...]
-    """Episodes that could not be played: number, seed and error."""
+    """Episodes that could not be played, with number, seed and error."""
     metrics: MetricsTable
     left_out: tuple[str, ...] = ()
-    """Reasons why episodes of the file could not be played at all."""
+    """Reasons why episodes of an episode file could not be played."""
 
 
 class WrittenDataset:
-    """Episodes of a dataset, read once, with their totals. It also writes requested logs that are missing."""
+    """Episodes of a dataset and their totals, which are read once; missing logs are written on request."""
 
     def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:
         if isinstance(share_in, RemotePath):
@@ -67,7 +67,7 @@ class WrittenDataset:
 
 
 def first_played(writer: DatasetWriter) -> Recording | None:
-    """Return an episode of a dataset to be continued that did not fail."""
+    """Return an episode that did not fail, of a dataset that is continued."""
     from h3data.recording import Dataset
 
     if not len(writer):
@@ -77,7 +77,7 @@ def first_played(writer: DatasetWriter) -> Recording | None:
 
 
 def whose(job: Job) -> str:
-    """Return the set or file that the episodes are from."""
+    """Return the name of the set or file from which the episodes come."""
     origin = job.origin
     if origin is None:
         return ""
@@ -88,7 +88,7 @@ def whose(job: Job) -> str:
 
 
 def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
-    """Raise an error if ``jobs`` would make other episodes than those of a dataset, or if the videos differ."""
+    """Raise an error if ``jobs`` would make different episodes or videos than those of a dataset."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import shard_files
 

@@ -1,4 +1,4 @@
-"""Import of recordings of other programs, file by file, with a result for each."""
+"""Import of recordings of other programs, file by file, with a result for each file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ImportJob:
     source: Path
     target: Path
     below: PurePosixPath
-    """Path of the file relative to the named folder; for a single file, its name."""
+    """Path of the file relative to the named folder, or the name of a file that was named itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class ImportedFile:
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
-    """Result for one file; "kept" means that an earlier import has written the same recording."""
+    """Status of the import; "kept" means that an earlier import has written the same recording."""
     kind: str = "unknown"
     """Name of the file's format."""
     recording: Path | None = None
@@ -47,7 +47,7 @@ class ImportedFile:
     """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the file as JSON types."""
+        """Return the result as JSON types."""
         facts = {"source": str(self.source), "status": self.status, "kind": self.kind}
         facts |= {"recording": str(self.recording)} if self.recording else {}
         facts |= {"reason": self.reason} if self.reason else {}
@@ -63,7 +63,7 @@ class ImportResult:
     """Rows of the manifest that match no file, recordings without a row, and columns with unknown names."""
 
     def count(self, status: str) -> int:
-        """Return the number of files with a status."""
+        """Return the number of files with a given status."""
         return sum(file.status == status for file in self.files)
 
 
@@ -80,21 +80,22 @@ def import_files(
 ) -> ImportResult:
     """Import files and folders of files as MCAP recordings in the folder ``out``.
 
-    A single file that cannot be imported raises; of several, the others are imported and it is listed.
+    If a single file cannot be imported, an error is raised. Among several files, such a file is listed and the others
+    are imported.
 
     Args:
-        paths: Files, and folders that are walked.
-        out: Folder of the recordings; files of a folder keep their place below it.
+        paths: Files, and folders that are searched recursively.
+        out: Folder of the recordings; files of a folder keep their relative paths.
         assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
         manifest: CSV table of participants and conditions (`h3data_pipelines.session_manifest`).
         fps: Steps per second of files without times.
-        tracks: Options of bags and of files of tracks.
+        tracks: Options for bags and files of tracks.
         strict: True refuses recordings with warnings or missing assets.
         force: True if existing recordings may be replaced.
 
     Raises:
         InputError: there is nothing to import.
-        FormatError: the manifest, or the only file, is of another form or damaged.
+        FormatError: the manifest, or the only file, has the wrong format or is damaged.
     """
     if not 0.001 <= fps <= 1000:
         raise InputError(f"--fps must be at least 0.001 and at most 1000, got {fps}.", code="H3-JOB-036")
@@ -131,7 +132,7 @@ def _is_imported(recording: Recording, target: Path) -> bool:
 
 
 def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
-    """Count a recording's contents, and list its asset files that are missing below the library's roots."""
+    """Summarise a recording's contents, and list its asset files that are missing in the library's folders."""
     missing = Replay(recording, assets=library).missing
     info = recording.episode.info
     return {

@@ -1,4 +1,4 @@
-"""Tables of policies by metrics with 95% intervals, followed by published rows if the metrics' profile has any."""
+"""Tables of policies by metrics with 95% intervals, followed by published results if the metrics' profile has any."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from h3data.terminal import aligned
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
 
 MOST_COLUMNS = 30
-"""Largest number of metrics of a profile in full tables; other tables have the columns of the profile's report."""
+"""Largest number of metrics for which a table shows all metrics of a profile; otherwise it shows those of the
+profile's report.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,7 @@ class PolicyTable:
     """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Return the measured rows with intervals, followed by published ones; a sentence if there are no results."""
+        """Return measured rows with intervals and published rows, or a sentence if there are no results."""
         if not self.cells:
             return NOTHING
         shown = self._columns()
@@ -53,7 +55,7 @@ class PolicyTable:
         return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON types; NaN becomes None. ``seeds`` contains the rows of several policies."""
+        """Return the table as JSON types; NaN becomes None, and ``seeds`` has the rows of several policies."""
         cells = [
             {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
         ]

@@ -22,7 +22,7 @@ RESULTS = "episodes"
 
 
 class EpisodeJob(Protocol):
-    """Episode in which something is evaluated."""
+    """Job that evaluates something in one episode."""
 
     @property
     def base(self) -> Job:
@@ -30,7 +30,7 @@ class EpisodeJob(Protocol):
         ...
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything that determines the results, which have it as ``job`` and the episode's number as ``episode``."""
+        """Return all values that determine the results, which are stored with them as ``job`` and ``episode``."""
         ...
 
 
@@ -39,7 +39,7 @@ R = TypeVar("R")
 
 
 def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> None:
-    """Check options before an evaluation begins.
+    """Check options before an evaluation starts.
 
     Raises:
         InputError: the executor or number of workers is invalid, or both ``resume`` and ``force`` are set.
@@ -64,22 +64,22 @@ def results_of(
     executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Return the results of all jobs, in order, and the number of new ones. Results in the folder are not computed again.
+    """Return the results of all jobs, in order, and the number of new results; existing results are not computed again.
 
     Args:
         jobs: Jobs, one for each episode.
-        out: Folder, new or that of an interrupted evaluation with the same options.
-        work: Plays one job, in another process.
-        lost: Returns the result of a job whose process died.
-        store: Keeps what belongs to a result beside its file, and gives what the file holds.
-        prepare: Called once the folder is there.
-        is_whole: Returns whether the data that `store` keeps for a job exists.
-        resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+        out: A new folder, or the folder of an interrupted evaluation with the same options.
+        work: Function that plays one job, in another process.
+        lost: Function that returns the result of a job whose process died.
+        store: Function that stores the data of a result outside its file, and returns the contents of the file.
+        prepare: Function that is called when the folder exists.
+        is_whole: Function that returns whether the data that ``store`` has written for a job exists.
+        resume, force, workers, executor, progress: Options of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
 
     Raises:
-        InputError: the folder holds results of other options, or anything else.
+        InputError: the folder holds results of other options, or other files.
         FormatError: a file among the results is not a result.
-        JobStopError: the whole job cannot go on; the results so far stay.
+        JobStopError: the whole job cannot continue; the results so far are kept.
     """
     folder = out / RESULTS
     if resume and not folder.is_dir():
@@ -121,7 +121,7 @@ def _kept(files: Iterable[Path], out: Path) -> str:
 
 
 def write_table(out: Path, text: str, data: dict[str, Any]) -> None:
-    """Write the table of all results, for people and for programs."""
+    """Write the table of all results as text and as JSON."""
     write_text(out / "table.txt", text + "\n")
     write_text(out / "table.json", json.dumps(data, indent=2) + "\n")
 

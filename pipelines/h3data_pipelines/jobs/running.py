@@ -1,4 +1,4 @@
-"""Episodes as shards: played, and rendered on request; errors are listed and do not stop the job."""
+"""Shards that play episodes and optionally render them; errors are listed and do not stop the job."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 def simulate_job(job: Job) -> Recording:
-    """Return one episode, or `failed_recording` of it. It depends on the job alone, so any process may run it.
+    """Return the recording of a job's episode, or its `failed_recording` placeholder, in any process.
 
     Raises:
-        JobStopError: the whole job cannot go on.
+        JobStopError: the whole job cannot continue.
     """
     try:
         recording = job.record()
@@ -44,17 +44,17 @@ def _with_job(recording: Recording, job: Job) -> Recording:
 
 
 def with_info(recording: Recording, **entries: Any) -> Recording:
-    """Return the recording with further entries of its info."""
+    """Return a recording with additional entries in its info."""
     return replace(recording, episode=replace(recording.episode, info={**recording.episode.info, **entries}))
 
 
 @dataclass(frozen=True)
 class VideoJob:
-    """Videos to render of every episode."""
+    """Videos to render for every episode."""
 
     cameras: tuple[str, ...]
     threads: int
-    """Number of threads that render, in each process."""
+    """Number of render threads in each process."""
     people: PeopleStyle = "skin"
     light: LightMode = "baked"
     backend: Literal["auto", "cpu", "gpu"] = "cpu"
@@ -62,7 +62,7 @@ class VideoJob:
 
 @dataclass(frozen=True)
 class RenderedVideo:
-    """Result of a shard: one episode with its videos."""
+    """Result of a shard, which is one episode with its videos."""
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()
@@ -70,7 +70,7 @@ class RenderedVideo:
 
     @contextmanager
     def video_files(self) -> Iterator[list[EpisodeVideo]]:
-        """Give the videos as files of this machine, within the block."""
+        """Provide the videos as files of this machine within a block."""
         if not self.videos:
             yield []
             return
@@ -82,10 +82,10 @@ class RenderedVideo:
 
 
 def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
-    """Return one episode as `simulate_job` does, and its videos; a failed episode has none.
+    """Return the recording of a job's episode and its videos; a failed episode has no videos.
 
     Raises:
-        InputError: it has no such camera.
+        InputError: the episode has no such camera.
     """
     recording = simulate_job(job)
     if not filming.cameras or is_failed(recording):
@@ -114,7 +114,7 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
 
 
 def film_jobs(jobs: Sequence[Job], *, filming: VideoJob, executor: Executor) -> Generator[RenderedVideo]:
-    """Yield recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
+    """Yield recordings and their videos in the order of ``jobs``; an episode whose workers all die counts as failed."""
     yield from executor.run(
         partial(film_job, filming=filming),
         jobs,

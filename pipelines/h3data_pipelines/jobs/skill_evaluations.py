@@ -1,4 +1,4 @@
-"""Evaluation of learned skills one by one, each in the same episodes of rearrangement, with the robot alone."""
+"""Evaluation of learned skills one by one, in the same episodes of rearrangement with the robot alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SkillJob:
     seed: int
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything that determines the results."""
+        """Return all values that determine the results, as JSON types."""
         fields = self.base.to_json()
         for name in ("policy", "partner"):
             fields.pop(name, None)
@@ -47,7 +47,7 @@ class SkillEvaluationResult:
     new: int
 
     def summary(self) -> list[dict[str, Any]]:
-        """Return the success rate with its interval, the steps and the reasons of failures of each skill."""
+        """Return for each skill the success rate with its interval, the steps, and the reasons of failures."""
         from h3data.stats import wilson_interval
 
         found = []
@@ -92,7 +92,7 @@ class SkillEvaluationResult:
 
 
 def judge_episode(job: SkillJob) -> dict[str, Any]:
-    """Return the outcome of every learned skill in one episode; an episode that raises is listed as failed."""
+    """Return the outcome of every learned skill in one episode; an episode that raises an error is listed as failed."""
     from h3data_pipelines.skill_judging import action_of, judge
     from sim_kinematic.motion.randomness import generator
     from sim_kinematic.policies.skills.names import skills_of
@@ -135,16 +135,16 @@ def evaluate_skills(
     Episodes that have results already are not played again.
 
     Args:
-        request: episodes of rearrangement, and the skills.
-        out: folder, new or that of an interrupted evaluation with the same options.
+        request: rearrangement episodes and skills to evaluate.
+        out: a new folder, or the folder of an interrupted evaluation with the same options.
         resume: whether ``out`` must hold an evaluation to continue.
         force: whether results in ``out`` are deleted first.
         workers: number of processes.
-        executor: starts the processes, as in `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
-        progress: makes a progress bar.
+        executor: executor that starts the processes, as in `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+        progress: function that creates a progress bar.
 
     Raises:
-        InputError: an option is invalid, or the folder holds anything else.
+        InputError: an option is invalid, or the folder holds other files.
         FormatError: a file among the results cannot be read.
     """
     check_options(resume=resume, force=force, workers=workers, executor=executor)

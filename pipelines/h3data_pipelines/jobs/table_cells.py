@@ -1,7 +1,7 @@
-"""Cells of tables of policies: the mean of one policy with its interval, and of several the mean of their means.
+"""Cells of tables of policies, with the mean and interval of one policy, or the mean of the means of several.
 
-Policies that differ by the seed of their training alone, named together by a pattern of files (``weights:out/s*/policy.npz``),
-are one row, with the standard deviation over the seeds as published tables have it.
+Policies that differ only in their training seed and are named by a pattern of files (``weights:out/s*/policy.npz``)
+share one row, which has the standard deviation over the seeds, as in published tables.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from h3data.metrics.table import summarize_all
 
 NOTHING = "No episode could be played: there is no table."
 SEEDS_HEAD = "; of seeds mean ± standard deviation"
-"""Addition to the head of a table that has rows of several policies."""
+"""Addition to the heading of a table that has rows of several policies."""
 
 
 def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
@@ -33,16 +33,16 @@ def cell_dict(cell: Summary) -> dict[str, float | None]:
 
 
 def or_none(value: float) -> float | None:
-    """Return the value for JSON: None instead of NaN."""
+    """Return the value, or None instead of NaN, for JSON."""
     return None if np.isnan(value) else value
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeedsSummary:
-    """Summary of one metric of several policies."""
+    """Summary of one metric over several policies."""
 
     each: Mapping[str, Summary]
-    """Summaries by policy, whose means are over its episodes."""
+    """Summaries of the metric over the episodes of each policy, by policy."""
 
     @property
     def means(self) -> np.ndarray:
@@ -56,7 +56,7 @@ class SeedsSummary:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the policies' means (n - 1); NaN of fewer than two."""
+        """Standard deviation of the policies' means (n - 1 in the denominator); NaN for fewer than two means."""
         return float(self.means.std(ddof=1)) if len(self.means) > 1 else float("nan")
 
     def to_text(self, *, factor: float = 1.0, digits: int = 2) -> str:
@@ -76,12 +76,15 @@ class SeedsSummary:
 
 
 def row_name(pattern: str, policies: Sequence[str]) -> str:
-    """Return the name of the row of several policies."""
+    """Return the name of the row that combines several policies."""
     return f"{pattern} ({len(policies)} seeds)"
 
 
 def rows_of(policies: Sequence[str], seeds: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the policies of each row of a table, by name; a row of several is in the place of its first policy."""
+    """Return the policies of each row of a table, by row name.
+
+    A row of several policies has the position of its first policy.
+    """
     rows: dict[str, tuple[str, ...]] = {}
     of = {policy: pattern for pattern, members in seeds.items() for policy in members}
     for policy in policies:

@@ -1,1 +1,1 @@
-"""Commands about this machine: what is installed, how fast it is, its shell."""
+"""Commands about this machine: installed packages, speed, caches and the shell."""

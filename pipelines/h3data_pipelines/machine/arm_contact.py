@@ -1,4 +1,4 @@
-"""Contacts of a robot's arm and the things in its hand with the home, by FCL; they are counted but stop nothing."""
+"""Contacts by FCL of a robot's arm and held things with the home, which are counted but do not stop the arm."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 
 TOUCH_M = 1e-3
-"""Depth of contact up to which things rest on each other without collision, as an object on a table [m]."""
+"""Depth of contact up to which things rest on each other without collision, e.g. an object on a table [m]."""
 
 
 class ArmTouch(NamedTuple):
-    """A part that reaches into a thing."""
+    """Contact of a part of the arm with a thing."""
 
     part: str
     """Name of a link of the robot, or of the held object."""
     thing: str
-    """Name of the instance of the scene."""
+    """Name of the instance in the scene."""
     depth_m: float
     """Depth [m] of the deepest contact between the two (see `Contact.depth_m` for its accuracy)."""
     point: NDArray[np.float64]
@@ -33,10 +33,10 @@ class ArmTouch(NamedTuple):
 
 
 class ArmContact:
-    """Contact between the moving part of one robot's arm, what it holds, and the static things of one scene."""
+    """Contact detection between one robot's moving arm, the object it holds, and the static things of a scene."""
 
     def __init__(self, scene: Scene, robot: Robot, *, scenery: FclScene | None = None) -> None:
-        """``scenery`` saves building the collision world of the scene again."""
+        """Build the collision worlds; an existing ``scenery`` avoids building that of the scene again."""
         self._robot = robot
         self._scenery = scenery or FclScene(scene)
         self._links = arm_links(robot)
@@ -53,14 +53,14 @@ class ArmContact:
         shapes: Sequence[Shape] = (),
         held_pose: ArrayLike | None = None,
     ) -> list[ArmTouch]:
-        """Return present contacts, deepest first, at most one for each part and thing.
+        """Return the current contacts, deepest first, at most one for each part and thing.
 
         Args:
-            base_pose: The robot's root, pose7 [7].
-            joints: All its joint positions [J].
-            held: Name of the object in its hand.
+            base_pose: World pose of the robot's root (pose7) [7].
+            joints: Positions of all joints of the robot [J] [rad or m].
+            held: Name of the object in the robot's hand.
             shapes: Collision shapes of that object; empty if nothing is held.
-            held_pose: Pose7 of that object [7].
+            held_pose: World pose (pose7) of the held object [7].
         """
         frames = self._robot.link_matrices(np.asarray(base_pose)[None], np.asarray(joints)[None])[0]
         self._arm.set_transforms(frames[self._link_of])
@@ -89,7 +89,7 @@ class ArmContact:
 
 
 def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, step: int, agent: int) -> list[Event]:
-    """Return an event ``contact`` for each pair that touches now and did not in the step ``before``, with its depth."""
+    """Return an event ``contact`` with depth for each pair that touches now and did not in the step ``before``."""
     known = {(t.part, t.thing) for t in before}
     return [
         Event(step=step, agent=agent, kind="contact", target=t.thing, detail=f"{t.part}, {t.depth_m:.3f} m")

@@ -1,4 +1,4 @@
-"""Command ``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
+"""Command ``h3data bench``, which runs the paper's speed benchmark on this machine and shows the paper's numbers."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ PAPER = {
     ("small", "human_robot", 1): "136±8",
     ("small", "human_robot", 16): "1191±3",
 }
-"""Frames per second in the paper by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3,
-appendix on speed)."""
+"""Frames per second in the paper by home, agents and worlds, for 2 objects, navigation and skinned people on one V100
+(section 3, appendix on speed).
+"""
 NOTES = (
     "FPS: steps of all worlds per second, mean ± standard error over the runs. CPU: user and system time per step and world.",
     "Paper: one Nvidia V100; its appendix gives 155±26 for the human. One depth image per agent: 128x128, 256x256 for two.",
@@ -52,8 +53,8 @@ NOTES = (
 class Bench:
     """Measure steps per second by the paper's protocol, on CPU or GPU.
 
-    300 steps of random actions, the first 10 not timed, with a depth image for each agent. "all" means
-    every value.
+    A run has 300 steps of random actions with a depth image for each agent, of which the first 10 are not timed. The
+    value "all" of an option means every value.
 
     Examples:
         h3data bench sim
@@ -63,25 +64,25 @@ class Bench:
     """
 
     group: tyro.conf.Positional[str]
-    """sim: the simulator with depth images."""
+    """Benchmark to run: sim (the simulator with depth images)."""
     homes: tuple[str, ...] = ("small",)
-    """small, medium, large."""
+    """Sizes of homes: small, medium, large."""
     objects: tuple[str, ...] = ("2",)
     """Number of objects; the paper has 2 and 10."""
     agents: tuple[str, ...] = (ALL,)
-    """robot, human, robot_robot, human_robot."""
+    """Agents of the worlds: robot, human, robot_robot, human_robot."""
     worlds: tuple[str, ...] = ("1", "16")
     """Number of worlds stepped at once; the paper has 1 and 16."""
     actions: tuple[str, ...] = ("nav",)
-    """nav: agents drive or walk; pick: they stand, and an arm or a hand reaches."""
+    """Actions of the agents: nav (they drive or walk), or pick (they stand, and an arm or a hand reaches)."""
     bodies: tuple[str, ...] = ("skinned",)
-    """skinned, or bones: people rendered as rigid capsules."""
+    """Bodies of people: skinned, or bones (rendered as rigid capsules)."""
     runs: int = 3
     """Number of runs per row; the paper has 10."""
     steps: int = 300
     """Number of steps per run; the first 10 are not timed."""
     backend: Literal["cpu", "gpu"] = "cpu"
-    """Renderer. gpu: one process with all worlds."""
+    """Renderer backend; gpu runs all worlds in one process."""
     cores: int | None = None
     """Number of processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
     seed: int = 0
@@ -106,7 +107,7 @@ class Bench:
         return Outcome(text=text, data=data)
 
     def cells(self) -> list[Cell]:
-        """Return rows to measure; raise an `InputError` that names a bad option."""
+        """Return the rows to measure, or raise an `InputError` that names an invalid option."""
         from h3data_pipelines.machine.bench_protocol import UNTIMED, Cell
 
         if self.group != "sim":
@@ -155,14 +156,14 @@ class Bench:
 
 # --- measuring ------------------------------------------------------------------------------------------------------------
 class Pool:
-    """Processes that start each timed run together. A pool of one runs in this process."""
+    """Pool of processes that start each timed run together; a pool of one runs in this process."""
 
     def __init__(self, size: int) -> None:
         self.size = size
         self._executors: dict[int, ProcessPoolExecutor] = {}
 
     def run(self, shares: list[int], cell: Cell, **options: Any) -> list[list[Run]]:
-        """Return results of each process; ``shares`` are the numbers of worlds of each."""
+        """Run the benchmark in each process and return the results; ``shares`` are the numbers of worlds of each."""
         if len(shares) == 1:
             return [_run_share(cell, shares[0], **options)]
         executor = self._executor(len(shares))
@@ -185,7 +186,7 @@ class Pool:
 
 @contextmanager
 def process_pool(size: int) -> Iterator[Pool]:
-    """Start a `Pool`, whose processes end with the block."""
+    """Start a `Pool`, whose processes are stopped at the end of the block."""
     pool = Pool(size)
     try:
         yield pool
@@ -225,10 +226,10 @@ def _run_share(
 def measure(
     cell: Cell, pool: Pool, *, runs: int, steps: int, backend: Literal["cpu", "gpu"] = "cpu", seed: int = 0
 ) -> dict[str, Any]:
-    """Measure a row of the table.
+    """Measure one row of the table and return its values.
 
-    It has the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], and the paper's
-    figure.
+    The values are the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], and the
+    paper's figure.
 
     The frames per second of a run are worlds x timed steps / mean time of the processes, as in Habitat's script.
     """
@@ -256,7 +257,7 @@ def measure(
 
 # --- text -----------------------------------------------------------------------------------------------------------------
 def hardware_name(backend: str = "cpu") -> str:
-    """Return this machine's processor and number of cores, and its GPU if that renders."""
+    """Return the name of this machine's processor, its number of cores, and its GPU if that renders."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -1,4 +1,4 @@
-"""Agents of the speed benchmark, which sample random actions and move in W worlds by the simulator's own kernels.
+"""Agents of the speed benchmark, which sample random actions and move in W worlds with the simulator's own kernels.
 
 `h3data_pipelines.machine.bench_protocol` combines them into worlds.
 """
@@ -48,15 +48,15 @@ class RobotAgent:
             robot: body of the robot.
             free: free floor.
             state: state with the robot's joints.
-            number: number of the agent, by which it holds objects.
-            is_clear: whether it can start at a base pose [7].
+            number: number of the agent, under which held objects are recorded.
+            is_clear: function that returns whether the robot can start at a base pose (pose7) [7].
         """
         self.body, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
         self.own, self._base = state.robots[number], base_of(robot, HOME_BASE)
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Move to random places where body, arm and rear touch nothing, with the arm at rest."""
+        """Place the robot at random positions without contact of body, arm and rear, with the arm at rest."""
         for w in range(len(self.own.heading)):
             self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
         self.own.joints[:] = self.body.rest
@@ -73,7 +73,7 @@ class RobotAgent:
         )
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
-        """Return random actions [W, n], -1..1."""
+        """Return random actions in -1..1, shape [W, n]."""
         worlds = len(self.own.heading)
         return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(self.body.require_arm()) + 1))
 
@@ -96,12 +96,12 @@ class RobotAgent:
 class HumanAgent:
     """Person in W worlds of the speed benchmark.
 
-    In ``nav`` they walk shortest paths to random objects, a new one on each arrival (oracle navigation); in ``pick``
-    they stand, and the right hand moves towards random objects as far as it reaches.
+    In ``nav`` they walk along shortest paths to random objects and choose a new object on each arrival (oracle
+    navigation). In ``pick`` they stand, and the right hand moves towards random objects as far as it can reach.
     """
 
     def __init__(self, human: Humanoid, free: FreeSpace, state: WorldState, *, number: int) -> None:
-        """``number`` is the agent's, for what the person holds."""
+        """Connect the agent to the state of its worlds; held objects are recorded under its ``number``."""
         self.body, self.free, self.state, self.number = human, free, state, number
         self.own = state.people[number - len(state.robots)]
         self.walker = WalkerSpec()
@@ -111,7 +111,7 @@ class HumanAgent:
         self._pose("nav")
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Place the people at random, standing, the hand at the side."""
+        """Place the people at random positions, standing, with the hand at the side."""
         own, worlds = self.own, self.state.worlds
         own.xz[:] = self.free.sample(rng, worlds)
         own.heading[:] = rng.uniform(-np.pi, np.pi, worlds)
@@ -122,12 +122,12 @@ class HumanAgent:
         self._pose("nav")
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
-        """Sample objects, and whether the hand closes (above 0) or opens, [W, 2]."""
+        """Sample target objects, and whether the hand closes (above 0) or opens, shape [W, 2]."""
         worlds, objects = self.state.held_by.shape
         return np.stack([rng.integers(objects, size=worlds), rng.uniform(-1, 1, worlds)], axis=1)
 
     def step(self, action: Action, values: Array) -> None:
-        """Walk, or reach for an object and take it."""
+        """Move the people one step: walk, or reach for an object and take it."""
         state, chosen = self.state, values[:, 0].astype(int)
         targets = state.object_pose[np.arange(len(chosen)), chosen, :3]
         if action == "nav":

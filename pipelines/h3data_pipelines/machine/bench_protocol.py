@@ -1,4 +1,4 @@
-"""The paper's speed benchmark: random steps of one or two agents in W worlds, with a depth image per agent.
+"""Protocol of the paper's speed benchmark: random steps of one or two agents in W worlds, with a depth image per agent.
 
 The protocol is described in the paper (section 3 and appendix, benchmarking; spec/habitat.md 7).
 """
@@ -31,28 +31,31 @@ STEPS, UNTIMED = 300, 10
 """Number of steps of a run, and number of the first steps that are not timed."""
 ROBOT, HUMAN, HOME_SEED = "quad_arm", "female_0", 1
 CAMERA, HFOV_DEG = "robot_arm", 90.0
-"""Camera of a robot, on its arm, and field of view of square pictures; a person looks from between the eyes."""
+"""Robot camera, mounted on the arm, and field of view of square pictures; the camera of a person is between the
+eyes.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Cell of the benchmark's table."""
+    """Setting of the benchmark, which is one row of its table."""
 
     home: str = "small"
     """Preset of the home: small, medium or large, with the areas and rooms of the paper's three scenes."""
     objects: int = 2
-    """Number of objects that can be taken; other objects are fixed."""
+    """Number of objects that can be taken; the other objects cannot be moved."""
     agents: Agents = "human_robot"
     worlds: int = 1
     action: Action = "nav"
     skinned: bool = True
     pictures: Literal["each", "arm"] = "each"
-    """Pictures of each step: the paper's square picture of each agent, or one of the first robot's arm camera,
-    224x171."""
+    """Pictures of each step: a square picture for each agent as in the paper, or one of the first robot's arm
+    camera, 224x171.
+    """
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Width and height of the depth images [pixels]; the paper's are 128 of one agent, 256 of each of two."""
+        """Width and height of the depth images [pixels]; in the paper 128 for one agent, 256 for each of two."""
         if self.pictures == "arm":
             camera = load_robot(ROBOT).camera(CAMERA)
             return camera.width, camera.height
@@ -64,14 +67,14 @@ class Run(NamedTuple):
 
     wall_s: float
     cpu_s: float
-    """User and system time of the whole process."""
+    """User and system time of the whole process [s]."""
 
 
 class BenchmarkWorlds:
     """W worlds of a cell in one process."""
 
     def __init__(self, cell: Cell, *, worlds: int | None = None, backend: Literal["cpu", "gpu"] = "cpu") -> None:
-        """``worlds``: fewer than the cell has, where several processes share them."""
+        """Create the worlds of a cell, or only ``worlds`` of them if several processes share the cell."""
         self.cell, self.worlds = cell, cell.worlds if worlds is None else worlds
         self.home, self.free = _home(cell.home)
         loose = [i for i in self.home.instances if i.motion != "static" and len(self.home.assets[i.asset].mesh.faces)]
@@ -120,7 +123,7 @@ class BenchmarkWorlds:
 
     # --- running ----------------------------------------------------------------------------------------------------------
     def reset(self, rng: np.random.Generator) -> None:
-        """Place all agents at random free places, and the objects where they lie in the home."""
+        """Place all agents at random free positions, and the objects at their positions in the home."""
         self.state.object_pose[:] = [i.pose for i in self._loose]
         self.state.held_by[:] = NOBODY
         for agent in self.agents:
@@ -150,7 +153,7 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """Render the view of each agent (or of the arm) in each world, by output, [agents * W, H, W', ...].
+        """Render the view of each agent (or arm camera) in each world, as images [agents * W, H, W', ...] by output.
 
         All worlds of the first agent come first.
         """
@@ -169,7 +172,7 @@ class BenchmarkWorlds:
         return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:
-        """Measure the time of ``steps`` random steps but the first ``untimed``, without sampling of actions and reset."""
+        """Measure the time of ``steps`` random steps after the first ``untimed``, without sampling and resets."""
         if not 0 <= untimed < steps:
             raise InputError(
                 f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",

@@ -1,4 +1,4 @@
-"""Command ``h3data cache``: files on disk that make later runs faster, their sizes, and their removal."""
+"""Command ``h3data cache``, which lists and removes files on disk that make later runs faster."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "arrow": ("columns of datasets for training", (".arrow", ".part")),
     "gpu": ("functions compiled for a GPU", (".cubin", ".part")),
 }
-"""Content of each cache, and the endings of its files; no other file in its folder is counted or deleted."""
+"""Description of each cache, and the suffixes of its files; other files in its folder are neither counted nor
+deleted.
+"""
 
 
 @dataclass(frozen=True)
 class Cache:
-    """Kind of files that can be made again."""
+    """Cache of files of one kind that can be generated again."""
 
     name: str
     holds: str
     folder: Path | None
-    """Folder of the files, above them for kernels; None if no files are kept."""
+    """Folder of the cache's files, or their parent folder for kernels; None if no files are stored."""
     files: tuple[Path, ...]
 
     @property
@@ -47,7 +49,7 @@ class Cache:
 
 
 def find_caches() -> list[Cache]:
-    """Return all caches in their present state, by the names of `KINDS`."""
+    """Return all caches in their current state, by the names of `KINDS`."""
     return [_find(name) for name in KINDS]
 
 
@@ -91,7 +93,7 @@ class CacheList:
 
 @dataclass(frozen=True)
 class CacheClear:
-    """Delete caches. Their contents are made again when they are needed, which takes time.
+    """Delete caches, whose contents are generated again when they are needed, which takes time.
 
     Examples:
         h3data cache clear light freespace
@@ -99,11 +101,11 @@ class CacheClear:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names of caches, as `h3data cache list` shows them; none means all."""
+    """Names of caches, as `h3data cache list` shows them (default: all caches)."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Delete the caches and return how many bytes became free."""
+        """Delete the caches and return the number of bytes that became free."""
         for name in self.names:
             if name not in KINDS:
                 raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}", code="H3-MACHINE-011")
@@ -128,9 +130,10 @@ CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear
 
 
 def kept_files() -> list[Path]:
-    """Return all files of numba's cache of h3data's kernels, from every folder where numba may store it.
+    """Return all files of numba's cache of h3data's kernels, from every folder where numba may store them.
 
-    Those of earlier versions and other settings are included."""
+    Files of earlier versions and other settings are included.
+    """
     from numba.core import config
     from numba.core.caching import _CacheLocator
     from numba.misc.appdirs import AppDirs

@@ -1,4 +1,4 @@
-"""Command ``h3data completion``: completion of commands, options and choices in a shell."""
+"""Command ``h3data completion``, which prints scripts for the completion of commands and options in a shell."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Completion:
     """
 
     commands: ClassVar[Mapping[str, type[Command] | Group]] = {}
-    """All commands, including this one: `h3data_pipelines.commands.table.all_commands` sets it."""
+    """All commands, including this one, as set by `h3data_pipelines.commands.table.all_commands`."""
 
     shell: tyro.conf.Positional[Literal["bash", "zsh", "tcsh"]]
     """Shell that reads the script."""

@@ -1,4 +1,4 @@
-"""Cost of a job on this machine, in CPU time, for the forecasts of `h3data plan`."""
+"""Costs of a job on this machine in CPU time, for the forecasts of `h3data plan`."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ class Costs:
 
     task: str
     start_s: float
-    """Time in which a worker starts: Python and its imports, without compilation of kernels [s]."""
+    """Time that a worker needs to start, for Python and its imports, without compilation of kernels [s]."""
     scene_s: float
-    """Time to prepare a home that is new to a worker: making it, free space, collision shapes [s]."""
+    """Time to prepare a home that is new to a worker: generation, free space and collision shapes [s]."""
     episode_s: float
-    """Time of an episode that does not depend on its length: starts, paths, records [s]."""
+    """Time of an episode that does not depend on its length, for starts, paths and records [s]."""
     step_s: float
     """Time of a step of the simulation [s]."""
     steps: float
     """Mean number of steps of an episode."""
     frame_s: dict[str, float]
-    """Time of a frame of each camera in `FRAMES`, rendered and encoded [s]."""
+    """Time to render and encode a frame of each camera in `FRAMES` [s]."""
     metrics_s: float
     """Time to compute the metrics of an episode from a dataset [s]."""
     driver_s: float
-    """Time of an episode in the one process that writes: receiving, storing, uncompressed sizes and hashes [s]."""
+    """Time of an episode in the single process that writes: receiving, storing, uncompressed sizes and hashes [s]."""
     episode_bytes: float
     """Size of an episode in a dataset [bytes]."""
 
@@ -50,7 +50,7 @@ class Costs:
 
     @classmethod
     def from_json(cls, values: Any) -> Costs:
-        """Read costs as ``h3data plan --measure --json`` prints them.
+        """Read costs from the JSON that ``h3data plan --measure --json`` prints.
 
         Raises:
             InputError: the values are not costs.
@@ -64,9 +64,9 @@ class Costs:
 
 
 def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Costs:
-    """Measure a job of ``task`` in homes of the preset small; half a minute.
+    """Measure a job of ``task`` in homes of the preset small, which takes half a minute.
 
-    CPU time is not wall-clock time: other processes of this machine hardly change it.
+    CPU time is not wall-clock time: it hardly depends on other processes of this machine.
     """
     from h3data.metrics import measure_files
     from h3data.recording import DatasetWriter

@@ -46,7 +46,8 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "microsoft-edge", 
 class Doctor:
     """Check the installation and list its files on this machine.
 
-    Renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub; versions of packages, free disk space, caches.
+    The checks cover renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub, package versions, free
+    disk space and caches.
 
     Examples:
         h3data doctor

@@ -1,4 +1,4 @@
-"""Command ``h3data docs``: pages of the documentation, which are part of the installation, and entries of error codes."""
+"""Command ``h3data docs``, which shows pages of the installed documentation and entries of error codes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from h3data.terminal import aligned
 class Docs:
     """Read the documentation, or the meaning of an error code.
 
-    The pages are part of the installation, so that they fit its version and need no network.
+    The pages are part of the installation, so that they match its version and need no network.
 
     Examples:
         h3data docs
@@ -34,13 +34,13 @@ class Docs:
     """
 
     name: tyro.conf.Positional[str] = ""
-    """A page, as listed without a name, or the code of an error."""
+    """Name of a page, as listed by the command without a name, or the code of an error."""
     print: bool = False
-    """Print the page, also on a terminal, which would show it in a pager otherwise."""
+    """Print the page instead of opening it in a pager on a terminal."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Return the list of pages, or the text of one."""
+        """Return the list of pages, or the text of one page."""
         pages = _pages()
         if not self.name:
             titles = {name: _title(path) for name, path in pages.items()}
@@ -62,7 +62,7 @@ class Docs:
 
 
 class ErrorKind(NamedTuple):
-    """A kind of error, as the page of errors lists it."""
+    """Kind of error, as the page of errors lists it."""
 
     code: str
     error: str
@@ -70,7 +70,7 @@ class ErrorKind(NamedTuple):
     text: str
     """Text of the message, with the names of its variables in braces."""
     to_do: str
-    """Advice in the message; empty if the text or its class gives it."""
+    """Advice in the message; empty if the text or the error class gives it."""
 
 
 def error_kinds(page: str) -> list[ErrorKind]:

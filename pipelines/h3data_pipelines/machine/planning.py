@@ -1,4 +1,4 @@
-"""Command ``h3data plan``: duration and cost of a job on many cores, and its bottleneck."""
+"""Command ``h3data plan``, which forecasts the duration, cost and bottleneck of a job on many cores."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _CORES = (1, 2, 10, 100, 1_000, 10_000)
 
 @dataclass(frozen=True)
 class Plan:
-    """Forecast a job of h3data generate on many cores: time, CPU hours, price, size, and the bottleneck.
+    """Forecast the time, CPU hours, price, size and bottleneck of a job of h3data generate on many cores.
 
     The costs of an episode are measured on this machine in half a minute, as CPU time, or come from a file of an earlier
-    measurement; the schedule is played out shard by shard. The results are forecasts: only the costs are measured.
+    measurement; the schedule is simulated shard by shard. Only the costs are measured; the results are forecasts.
 
     Examples:
         h3data plan social_nav --measure
@@ -32,25 +32,26 @@ class Plan:
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav, rearrange, wander, or an installed task."""
+    """Task of the job: social_nav, rearrange, wander, or an installed task."""
     episodes: int = 100_000
     cores: int = 1000
-    """Number of cores of the cluster; the table shows smaller numbers too."""
+    """Number of cores of the cluster; the table also shows smaller numbers."""
     datasets: int = 1
-    """Number of datasets into which the job is cut, each written by a command of its own."""
+    """Number of datasets into which the job is divided, each written by its own command."""
     scenes: int = 37
     """Number of different homes (h3-homes/train has 37)."""
     steps: float | None = None
-    """Mean length of an episode (default: as measured)."""
+    """Mean length of an episode [steps] (default: the measured length)."""
     cameras: tuple[str, ...] = ()
     """Cameras whose videos are added: robot_arm, human_head or top_down."""
     price: float = 0.02
-    """Price of a core for an hour, in your currency; spot prices differ by place and day."""
+    """Price of a core for an hour, in your currency; spot prices vary by region and day."""
     lost_nodes: float = 0.05
-    """Share of the nodes that fail in an hour, as spot machines do; each failure costs half a shard, a start and its
-    homes."""
+    """Share of the nodes that fail in an hour, as spot machines do; each failure costs half a shard, one start and
+    the preparation of homes.
+    """
     costs: Path | None = None
-    """File of costs: what `h3data plan TASK --measure --json` printed (default: measured now)."""
+    """File with costs that `h3data plan TASK --measure --json` printed (default: costs are measured now)."""
     measure: bool = False
     """Only measure and print the costs."""
     json: JsonFlag = False

@@ -1,4 +1,4 @@
-"""Simulation of a job on many cores, shard by shard from measured costs: its end, and its bottleneck."""
+"""Simulation of a job on many cores, shard by shard from measured costs, which gives its duration and bottleneck."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ AHEAD = 4
 """Number of results per worker that may wait for the writing process, as in
 `h3data_pipelines.execution.ray_cluster`."""
 MOST_SHARDS = 200_000
-"""Number of shards of longer jobs that are simulated; the rest continues at the rate of their second half."""
+"""Largest number of shards that are simulated; the rest of a longer job continues at the rate of their second half."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workload:
-    """Shards of equal cost, except for the first use of a home."""
+    """Shards of equal cost, except for the first use of each home."""
 
     shards: int
     shard_s: float
@@ -26,7 +26,7 @@ class Workload:
     start_s: float
     """Time that a worker needs to start [s]."""
     driver_s: float
-    """Time of a shard in the one process that writes its dataset [s]."""
+    """Time for a shard in the single process that writes its dataset [s]."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Schedule:
 
 
 def simulate_schedule(load: Workload, workers: int, *, datasets: int = 1) -> Schedule:
-    """Play the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
+    """Simulate the shards on ``workers`` cores, with the work divided into ``datasets`` jobs that have one writer each.
 
-    Workers take shards in order. The writer of a job takes results in order, one at a time; when `AHEAD` results per worker
-    wait for it, workers wait too.
+    Workers take shards in order. The writer of a job takes results in order, one at a time. If `AHEAD` results per
+    worker wait for it, workers wait too.
     """
     per_job, cores = -(-load.shards // datasets), max(workers // datasets, 1)
     played = min(per_job, MOST_SHARDS)

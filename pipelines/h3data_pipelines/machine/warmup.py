@@ -28,9 +28,10 @@ from h3data_pipelines.execution.processes import core_count
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile all kernels now, on all cores, so that later commands start at once. Needed once per machine and version.
+    """Compile all kernels now, on all cores, once per machine and version, so that later commands start at once.
 
-    Most kernels come compiled with the package h3data-kernels where it fits (Linux on x86-64; `h3data doctor` says).
+    The package h3data-kernels contains most kernels in compiled form for Linux on x86-64; `h3data doctor` shows whether
+    they are used.
 
     Examples:
         h3data warmup
@@ -78,11 +79,11 @@ def _say(line: str) -> None:
 
 @contextmanager
 def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | None]:
-    """Compile the kernels of some of `WORK` in a process of its own while the block runs.
+    """Compile the kernels of some programs of `WORK` in a separate process while the block runs.
 
-    numba compiles in one thread of a process at a time. When this process needs a kernel that the other one is compiling,
-    it waits for it (`h3data.kernels`). Where kernels come compiled (`h3data.kernels.shipped`), or those of pictures have been
-    compiled before, there is no such process, and None in its place.
+    numba compiles in one thread of a process at a time. If this process needs a kernel that the other process is
+    compiling, it waits for it (`h3data.kernels`). If kernels are installed in compiled form (`h3data.kernels.shipped`),
+    or those of pictures have been compiled before, no process is started and the block gets None.
     """
     from h3data.render.raster.raster import rasterise
 
@@ -117,7 +118,7 @@ def _run_apart(name: str) -> dict[str, Any]:
 
 
 def run(names: Sequence[str]) -> None:
-    """Do some of `WORK` in this process; print the kernels that it has compiled and those that are there."""
+    """Run some programs of `WORK` in this process; print the kernels that were compiled and those that existed."""
     with TemporaryDirectory() as folder:
         os.environ["H3DATA_CACHE"] = folder  # so that what others have cached is computed here too
         for name in names:
@@ -211,4 +212,4 @@ WORK: dict[str, Callable[[], None]] = {
     "light": _light,
     "people": _people,
 }
-"""Programs that use every kernel, by the name in progress messages; each runs in a process of its own."""
+"""Programs that use every kernel, by their names in progress messages; each runs in a separate process."""

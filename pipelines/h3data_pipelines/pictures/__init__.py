@@ -1,1 +1,1 @@
-"""Command ``h3data rerender``, which writes videos and images from any camera (`rerender`); `rendering` is its frame loop."""
+"""Command ``h3data rerender`` (`rerender`), which writes videos and images, and its frame loop (`rendering`)."""

@@ -12,10 +12,10 @@ from h3data.errors import InputError
 
 
 class Boxes(NamedTuple):
-    """The visible pixels of each id in an image, ordered by id."""
+    """Bounding boxes of the visible pixels of each id in an image, ordered by id."""
 
     ids: NDArray[np.int32]
-    """Number of each box in images of ids, shape [B]."""
+    """Id of each box, shape [B]."""
     boxes: NDArray[np.int32]
     """Bounds of the boxes: first column, first row, end column, end row (ends exclusive) [px], shape [B, 4]."""
     pixels: NDArray[np.int64]
@@ -44,7 +44,7 @@ def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
 def visible_masks(ids: ArrayLike, wanted: ArrayLike, *, groups: ArrayLike | None = None) -> NDArray[np.bool_]:
     """Return masks [B, H, W] of the pixels where each of the ``wanted`` ids [B] is visible.
 
-    The argument ``groups`` is that of `visible_boxes`.
+    The argument ``groups`` has the same meaning as in `visible_boxes`.
     """
     return _grouped(ids, groups)[None] == np.asarray(wanted).reshape(-1, 1, 1)
 

@@ -1,4 +1,4 @@
-"""A scale of the colours of depth pictures."""
+"""Colour scale of depth pictures."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from h3data.render.colors import depth_to_rgb
 def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
     """Draw a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
 
-    It has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], with both numbers. Pictures smaller
-    than 96 x 64 are not changed.
+    The scale has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], labelled with both values.
+    Pictures smaller than 96 x 64 are not changed.
     """
     import cv2
 

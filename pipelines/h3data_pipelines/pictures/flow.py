@@ -1,4 +1,4 @@
-"""Exact optical flow, computed from the poses before and after."""
+"""Exact optical flow, computed from the poses at two times."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def optical_flow(
 ) -> NDArray[np.float32]:
     """Compute the displacement (right, down) of each pixel's surface point until the next image, float32 [H, W, 2] [px].
 
-    Points move with their instance, on deformable meshes with their triangle. Points that are hidden afterwards have flow,
-    too. The background is infinitely far away. NaN marks points that are no longer in front of the camera or no longer
-    exist.
+    Points move with their instance, or on deformable meshes with their triangle. Points that are hidden in the next
+    image have flow, too. The background counts as infinitely far away. NaN marks points that are no longer in front of
+    the camera or no longer exist.
 
     Args:
         scene: The rendered scene.
@@ -99,9 +99,9 @@ def _moved(
 
 
 def flow_to_rgb(flow: ArrayLike, *, longest_px: float | None = None) -> NDArray[np.uint8]:
-    """Color flow [H, W, 2] [px], [H, W, 3]: hue is direction (red to the right), white is no motion, NaN is dark.
+    """Convert flow [H, W, 2] [px] to RGB [H, W, 3]; hue is direction (red to the right), white no motion, dark NaN.
 
-    Colours are saturated at ``longest_px``, by default the 99th percentile of lengths.
+    Colours are saturated at ``longest_px``, by default the 99th percentile of the lengths of flow vectors.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""The frame loop that renders recordings into files on all cores, and trajectories drawn over top-down images."""
+"""Frame loop that renders recordings into files on all cores, and trajectories over top-down images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
-"""Number of steps between the points of a drawn trajectory: 0.2 s."""
+"""Number of steps between the points of a trajectory in a picture (0.2 s)."""
 DEPTH_RANGE_M = (0.0, 10.0)
 
 
@@ -38,11 +38,11 @@ def render_files(
 ) -> None:
     """Render ``steps`` from every camera into its targets.
 
-    ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each H.264 or AV1 video has
-    one more thread that encodes. Few frames are in flight at a time, so memory stays constant. The files do not
-    depend on the number of threads, and they get their final names only when complete.
+    ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each H.264 or AV1 video
+    has one additional encoder thread. Only a few frames are processed at a time, so memory stays constant. The files do
+    not depend on the number of threads, and they get their final names only when complete.
 
-    ``frame_done`` is called after each frame, in place of a bar of progress with ``description``.
+    If ``frame_done`` is given, it is called after each frame; otherwise a progress bar with ``description`` is shown.
     """
     from h3data.replay.stage import WORLDS, chosen_backend
 
@@ -111,7 +111,7 @@ class _InOrder:
 
 
 def frames_per_second(replay: Replay, steps: range) -> float:
-    """Return the frame rate at which a video of ``steps`` runs in real time, but at least 1: players reject lower rates."""
+    """Return the frame rate for ``steps`` in real time [Hz], but at least 1, because players reject lower rates."""
     times = replay.recording.columns["time_ns"]
     return max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0) if len(times) > 1 else 30.0
 
@@ -149,10 +149,10 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
 
 
 def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the nearest and the farthest depth [m] of a depth video's colour scale.
+    """Return the nearest and the farthest depth of a depth video's colour scale [m].
 
-    The scale is 0 to 10 m, which keeps videos comparable. Where the median depth is larger, as for cameras high above a
-    home, it spans the depths of the image instead.
+    The scale is 0 to 10 m, so that videos are comparable. If the median depth is larger, as for cameras high above a
+    home, the scale spans the depths of the image instead.
     """
     hits = depth[depth > 0]
     if not len(hits) or np.median(hits) <= DEPTH_RANGE_M[1]:

@@ -15,22 +15,24 @@ from sim_kinematic.contact.fcl_world import CONTACTS_MAX, FclScene
 
 
 class Overlap(NamedTuple):
-    """Two instances that share space."""
+    """Pair of instances that overlap."""
 
     first: str
     second: str
     depth_m: float
-    """Depth of the deepest overlap of two of their parts [m]: the smaller one of FCL's depth, which is too large for round
-    parts and hulls deep in each other, and of the shift along an axis that separates their bounds."""
+    """Depth of the deepest overlap of two of their parts [m]. It is the smaller of FCL's depth, which is too large for
+    round parts and deeply overlapping hulls, and of the shift along an axis that separates their bounds.
+    """
     point: NDArray[np.float64]
-    """A point in the overlap, world, shape [3] [m]."""
+    """Point in the overlap in the world frame, shape [3] [m]."""
 
 
 def overlapping_instances(scene: Scene, *, tolerance_m: float = 0.01) -> list[Overlap]:
     """Return pairs of instances, static or not, whose collision parts overlap by more than ``tolerance_m``, deepest first.
 
     Instances without collision parts (rugs, lamp shades, a Habitat stage) are left out; parts of one instance may overlap.
-    FCL is asked about each pair of parts whose bounding balls meet: python-fcl hides exceptions in callbacks of its managers.
+    FCL tests each pair of parts whose bounding spheres meet, because python-fcl hides exceptions in callbacks of its
+    managers.
     """
     import fcl
 

@@ -1,16 +1,16 @@
-"""Depths of bodies of a recording inside the home: FCL on every part of every agent, and on what it holds.
+"""Depths by which bodies of a recording penetrate the home, by FCL for all parts of agents and held things.
 
-The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
-runs. This looks at them afterwards.
+The simulation keeps the base of a robot and the path of a person out of walls and furniture, but does not check arms
+and feet. This module checks them afterwards.
 
-The one contact that an agent intends: while it picks or places, the hand, the forearm of a person and what the hand holds may
-be in the thing on or in which the object lies, or is to lie, because what is taken from a shelf is taken from inside it.
-So may the hand of somebody who knocks be in what they knock at: its capsule is thicker than its knuckles, which
-`benchmarks.activities` measures. Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf,
-the carried object on its way.
+Some contact is intended. While an agent picks or places, its hand, the forearm of a person and the held thing may be
+inside the furniture on or in which the object lies or will lie, because a thing on a shelf is taken from inside it. The
+hand of a person who knocks may be inside the surface, because its capsule is thicker than the knuckles
+(`benchmarks.activities` measures this). All other contact counts, such as the same hand in the wall next to the shelf,
+an upper arm in the shelf, or contact of the object while it is carried.
 
-The surface on which somebody lies does not count either. The capsules of a trunk are as thick as it is broad, so they reach
-farther into it than the skin does, which `benchmarks.lying` measures.
+Contact with the surface on which a person lies does not count either. The capsules of a trunk are as thick as the trunk
+is broad, so that they reach deeper into the surface than the skin does (`benchmarks.lying` measures this).
 """
 
 from __future__ import annotations
@@ -36,47 +36,50 @@ from sim_kinematic.contact.clearance import FLOOR_M, supports
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 
 CORE_M = 1e-3
-"""Radius of the thin capsule within a capsule, from which depth is measured."""
+"""Radius of the thin core of a capsule, from which depth is measured [m]."""
 CHORE_EVENTS = ("activity", "takes", "puts", "walks_to")
 """Kinds of events of people who do chores (`sim_kinematic.crowd.errands.HandWork`)."""
 REACHING = ("pick", "place", "drop")
-"""Names of skills in which a hand approaches the surface on which something lies."""
+"""Names of skills in which a hand approaches the surface on which an object lies."""
 HELD = "held object"
-"""Name of the part that stands for everything that an agent carries."""
+"""Name of the part that represents everything that an agent carries."""
 
 
 class Penetration(NamedTuple):
-    """Depth of one agent inside the static things of its home."""
+    """Depths by which one agent penetrates the static things of its home."""
 
     agent: int
     parts: tuple[str, ...]
     """Names of the parts: capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
-    """True for parts that are arms, hands and what they hold, [P]."""
+    """Flags of parts that are arms, hands and held things, bool [P]."""
     reaching: NDArray[np.bool_]
-    """True for parts that may enter the furniture of an object while it is picked or placed: hands, people's forearms,
-    what is held, [P]."""
+    """Flags of parts that may enter the furniture of an object while it is picked or placed (hands, people's
+    forearms and held things), bool [P].
+    """
     steps: NDArray[np.intp]
     """Numbers of the checked steps, [T]."""
     depth_m: NDArray[np.float64]
-    """Depth of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the
-    distance of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis
-    of the world."""
+    """Depth of each part, 0 if it touches nothing, [T, P] [m]. For a capsule whose axis is outside, it is the radius
+    minus the distance of the axis. Otherwise it is the smaller of FCL's depth, which is too large for deep contact, and
+    the shortest displacement along a world axis that ends the contact.
+    """
     thing: NDArray[np.object_]
     """Name of the instance that each part enters most deeply, empty for none, [T, P]."""
     intended: NDArray[np.bool_]
-    """True for contacts that the agent intends, [T, P]."""
+    """Flags of contacts that the agent intends, bool [T, P]."""
 
     @property
     def unintended_m(self) -> NDArray[np.float64]:
-        """``depth_m`` outside contact that the agent intends, [T, P] [m]."""
+        """``depth_m`` without intended contact, [T, P] [m]."""
         return np.where(self.intended, 0.0, self.depth_m)
 
 
 def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
     """Measure the penetration of all agents with built-in bodies, at every n-th step.
 
-    A robot stands on what lies on the floor, up to `FLOOR_M`; people have no such allowance, but floors have no shapes.
+    A robot may stand on things on the floor that are up to `FLOOR_M` high. People have no such allowance, but floors
+    have no collision shapes.
 
     Raises:
         InputError: the recording carries no scene, or ``every`` is not at least 1.
@@ -94,7 +97,7 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
 
 
 def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
-    """Return how deep the deepest part of any agent is in each step looked at, outside contact it intends, [T] [m]."""
+    """Return the depth of the deepest part of any agent in each checked step, without intended contact, [T] [m]."""
     deepest = np.zeros(len(measured[0].steps) if measured else 0)
     for found in measured:
         deepest = np.maximum(deepest, found.unintended_m.max(1))
@@ -102,9 +105,9 @@ def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
 
 
 def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list[Finding]:
-    """Return a warning for each part of an agent that is deeper than ``limit_m`` in something, outside contact it intends.
+    """Return a warning for each part of an agent that is deeper than ``limit_m`` in a thing, without intended contact.
 
-    Recordings without a scene, or whose agents have no built-in body, yield none.
+    Recordings without a scene, or whose agents have no built-in body, give no warnings.
     """
     if "scene.glb" not in recording.attachments:
         return []

@@ -1,7 +1,7 @@
-"""Faults of a recording: column names and types, time, values, rotations, the hash, jumps, feet, walls, asset files.
+"""Detection of faults of a recording in columns, time, values, rotations, hash, jumps, feet, walls and asset files.
 
-Errors never occur in a sound recording. Warnings may, but its user should know: a teleport, a sliding foot, an asset that
-was not found.
+Errors never occur in a valid recording. Warnings may occur in one, but its user should know about them: a teleport, a
+sliding foot, or an asset that was not found.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Check = Literal[
 Severity = Literal["error", "warning"]
 
 GAP_STEPS = 1.5
-"""Number of usual steps above which a longer step counts as a gap."""
+"""Duration above which a step counts as a gap, in multiples of the usual step."""
 UNIT_WARNING, UNIT_ERROR = 1e-3, 1e-2
 """Limits of a quaternion's deviation from unit length; files that round to five digits are off by 1e-5."""
 AGENT_MPS, OBJECT_MPS = 10.0, 25.0
@@ -50,13 +50,14 @@ LIMIT_SLACK = 1e-4
 WALL_M = 0.02
 """Tolerated depth of an agent's root inside an obstacle: the error of the distance grid [m]."""
 APART_M = 0.15
-"""Distance of roots below which agents are inside each other [m]."""
+"""Distance between the roots of two agents below which they count as overlapping [m]."""
 SINK_M = 0.05
-"""Depth of soles below the height of the root above which they are in the floor [m]."""
+"""Depth of the soles below the height of the root above which they count as being in the floor [m]."""
 LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.15, 0.10
-"""Limits for sliding feet: feet within LOW_M of the floor can carry, and slide if all that can carry are faster than
-SLIDE_MPS for at least SLIDE_S (shorter: a foot that lands, or the flight phase of a jog). It is reported if it happens
-in at least SLIDE_SHARE of the steps."""
+"""Limits for sliding feet. Feet within LOW_M [m] of the floor can carry the body. They slide if all of them are faster
+than SLIDE_MPS [m/s] for at least SLIDE_S [s]; shorter times occur when a foot lands or in the flight phase of a jog.
+Sliding is reported if it occurs in at least SLIDE_SHARE of the steps.
+"""
 _FEET_CHUNK = 512
 _SCENES_KEPT = 8
 
@@ -67,7 +68,7 @@ _HEAD = JOINT_INDEX["head"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A fault in a recording."""
+    """Fault in a recording."""
 
     check: Check
     severity: Severity
@@ -87,9 +88,9 @@ class Finding:
 
 
 def validate_recording(recording: Recording, *, assets: AssetLibrary | None = None) -> list[Finding]:
-    """Return all faults of a recording, errors first; a recording without errors can be relied on.
+    """Return all faults of a recording, errors first; a recording without errors is valid.
 
-    ``assets`` finds the files that a foreign recording refers to.
+    ``assets`` is the library in which the files of imported recordings are searched.
     """
     with np.errstate(all="ignore"):  # invalid values, which are what is searched for
         findings = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]

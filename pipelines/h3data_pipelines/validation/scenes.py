@@ -1,6 +1,6 @@
-"""Faults of a scene that matter to agents: cut-off floor, tight passages, floating objects, receptacles out of reach.
+"""Detection of scene faults that affect agents, such as tight passages, floating objects and cut-off floor.
 
-Objects inside each other need FCL: see `h3data_pipelines.validation.overlaps`.
+Overlapping objects are detected in `h3data_pipelines.validation.overlaps`, which needs FCL.
 """
 
 from __future__ import annotations
@@ -31,23 +31,27 @@ Kind = Literal[
 ]
 
 GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
-"""Bounds of passage widths, 2 r - 5 cm to 2 r + 10 cm, between which rounding decides whether a passage is open
-(research/navigation-and-stepping.md 6)."""
+"""Bounds of passage widths relative to the agent's diameter 2 r, -5 cm and +10 cm, between which rounding decides
+whether a passage is open (research/navigation-and-stepping.md 6).
+"""
 REACH_M = 1.1
-"""Greatest distance in the floor plane from standing room to the centre of a receptacle; the home generator's limit."""
+"""Largest distance in the floor plane from standing room to the centre of a receptacle, as in the home generator
+[m].
+"""
 ISLAND_MIN_M2 = 0.05
-"""Area below which patches of free floor are ignored, as leftover corners between objects [m2]."""
+"""Area below which patches of free floor are ignored, such as leftover corners between objects [m2]."""
 ROOM_MIN_M2 = 0.1
-"""Area of walkable floor below which a room cannot be entered [m2]."""
+"""Area of walkable floor below which a room counts as impossible to enter [m2]."""
 FLOAT_M, SINK_M = 0.02, 0.01
-"""Distance below an object within which something must support it, else it floats; and height of a surface above its
-underside from which on it is sunk [m]."""
+"""Distance below an object within which something must support it, otherwise it floats, and height of a surface above
+the object's underside from which the object counts as sunk [m].
+"""
 CLIMB_M = 0.2
-"""Height up to which objects are stepped over [m]."""
+"""Height up to which agents step over objects [m]."""
 FURNITURE_MAX_M2 = 6.0
 """Footprint above which static instances are whole rooms, not furniture [m2]."""
 TOUCH_M = 0.05
-"""Distance from the rim of an agent's disc within which an object counts as the obstacle that stops it [m]."""
+"""Distance from the rim of an agent's disc within which an object counts as the obstacle that stops the agent [m]."""
 _SLACK_M = 0.004
 """Rounding of buffered polygons."""
 _HULL_SHARE = 0.9
@@ -63,11 +67,11 @@ class Problem:
     text: str
     """Description of the fault, with numbers."""
     position: NDArray[np.float64] | None = None
-    """Position in the world, shape [3] [m]; None if it has none (a missing file)."""
+    """Position in the world, shape [3] [m]; None for faults without a position (a missing file)."""
 
 
 def free_space_for_validation(scene: Scene, *, radius_m: float = 0.25, height_m: float = 1.41) -> FreeSpace:
-    """Free space for a disc smaller by half of `GAP_BELOW_M`, so that tight passages are open in it."""
+    """Return the free space for a disc smaller by half of `GAP_BELOW_M`, in which tight passages are open."""
     return FreeSpace.from_scene(scene, radius_m=radius_m - GAP_BELOW_M / 2, height_m=height_m)
 
 
@@ -76,7 +80,7 @@ def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> 
 
     Args:
         scene: The scene.
-        loose: Its `free_space_for_validation`.
+        loose: Free space of the scene from `free_space_for_validation`.
         radius_m: Radius of the agent [m].
     """
     free = shapely.MultiPolygon(loose.polygon).buffer(-GAP_BELOW_M / 2)
@@ -140,10 +144,10 @@ def _rooms(scene: Scene, main: BaseGeometry, loose: FreeSpace) -> Iterable[Probl
 
 
 def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Problem]:
-    """Find passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
+    """Find passages between 2 r - 5 cm and 2 r + 10 cm wide, which may be open for one agent and closed for another.
 
     ``loose`` is the free area for a disc of r - 2.5 cm. A tight passage is a part of it that the wider disc (r + 5 cm)
-    cannot enter, though the places on both sides are free for that disc. Niches with one entrance do not count.
+    cannot enter, while the places on both sides are free for that disc. Niches with one entrance do not count.
     """
     shrink = (GAP_BELOW_M + GAP_ABOVE_M) / 2
     wide = loose.buffer(-shrink)
@@ -192,9 +196,9 @@ def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
 
 
 def hull_fills_hollows(asset: Asset) -> bool:
-    """Return whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
+    """Return whether the single collision hull of an asset fills hollows of its mesh, so that overlaps may not be real.
 
-    True if less than `_HULL_SHARE` of the mesh's surface lies within 1 cm of the hull.
+    This is the case if less than `_HULL_SHARE` of the mesh's surface lies within 1 cm of the hull.
     """
     from scipy.spatial import ConvexHull, QhullError
 

@@ -1,4 +1,4 @@
-"""Folder of a training run: reserved, checked for space, and cleared of an earlier run by ``--force``."""
+"""Folders of training runs, which are checked for disk space, and cleared of an earlier run by ``--force``."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def run_folder(
 ) -> Path:
     """Prepare the folder of a training run.
 
-    With ``force`` everything that an earlier run left there is deleted, because its partners, starts and learning curve
-    would otherwise be taken for those of the new run.
+    With ``force``, all files of an earlier run are deleted, because its partners, starts and learning curve would
+    otherwise be mistaken for those of the new run.
 
     Args:
         out: the folder.
-        force: start from the beginning.
-        resume: continue from the last checkpoint.
+        force: True starts from the beginning.
+        resume: True continues from the last checkpoint.
         device: device of the run, which is checked before anything is deleted.
         checkpoint_bytes: size of a checkpoint; there must be room for two.
         keep: a file of the folder that is not deleted.

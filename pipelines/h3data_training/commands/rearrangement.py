@@ -1,4 +1,4 @@
-"""Command ``h3data train rearrange``: training of the upper layer of rearrangement with a population of partners.
+"""Command ``h3data train rearrange``, which trains the high-level policy with a population of partners.
 
 Episodes are played on CPU cores, or in batched worlds on a device.
 """
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 CHECKPOINT_BYTES = 3 << 20
 """Approximate size of a checkpoint for each learner, with its moments [bytes]."""
 STEPS_PER_CPU_S = 900
-"""Approximate number of steps of two agents that a core plays in a second, learning included."""
+"""Approximate number of steps of two agents that a core simulates in a second, including learning."""
 STEPS_PER_EPISODE = 600
 DRAWING_S = 0.55
-"""CPU time to sample an episode [s]: 652 for 1,184 in the 37 homes of h3-homes/train."""
+"""CPU time to sample an episode [s], measured as 652 s for 1,184 episodes in the 37 homes of h3-homes/train."""
 WORLD_STEPS_PER_CPU_S = 10_000
-"""Number of steps per second of worlds with oracle skills on a CPU: 256 of them, stepped on one core."""
+"""Number of steps per second of worlds with oracle skills on a CPU, for 256 worlds on one core."""
 
 
 def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
-    """Return the settings and the cost of a run, without running it."""
+    """Return the settings and the estimated cost of a run without running it."""
     data = {"settings": settings.as_dict(), "out": str(out), **_cost(settings, workers)}
     text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, workers)}\nNothing has been done."
     return Outcome(text=text, data=data)
@@ -49,7 +49,7 @@ def train_rearrange(
     stop_after: float | None,
     episodes_file: Path | None,
 ) -> Outcome:
-    """Train in a folder, as `h3data_training.populations.run.train`.
+    """Train a policy of rearrangement in a folder, by `h3data_training.populations.run.train`.
 
     Raises:
         InputError: the folder is not empty, the disk is full, or there is no such device.

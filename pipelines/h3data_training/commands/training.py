@@ -1,6 +1,6 @@
-"""Command ``h3data train``: training of policies of social navigation, a robot's skills, and rearrangement.
+"""Command ``h3data train``, which trains policies of social navigation, skills of a robot, and rearrangement.
 
-Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
+Social navigation and skills are learned from pictures, on a GPU or at a small scale on a CPU. Rearrangement is learned
 with populations of partners, on CPU cores or in batched worlds on a device.
 """
 
@@ -30,20 +30,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Trainer:
-    """Training of policies for a task: an entry of the group ``h3data.trainers``, by the name of the task."""
+    """Trainer of policies for a task, which is an entry point of ``h3data.trainers`` with the name of the task."""
 
     run: Callable[[Train], Outcome]
     """Function that trains with the options of the command."""
     has_people: bool = True
-    """True if there are people in its episodes."""
+    """True if there are people in the task's episodes."""
     has_populations: bool = False
-    """True if it trains a robot with a population of partners; False: one robot by PPO on its observations."""
+    """True if a robot is trained with a population of partners; False if one robot is trained by PPO on its
+    observations.
+    """
     recipes: str
-    """Help on ``--recipe``."""
+    """Help text of ``--recipe`` for the task."""
     observations: str = ""
-    """Help on ``--observations``."""
+    """Help text of ``--observations`` for the task."""
     worlds: str = ""
-    """Help on ``--worlds``."""
+    """Help text of ``--worlds`` for the task."""
 
 
 TRAINERS: Registry[Trainer] = Registry("h3data.trainers", {}, what="task to train")
@@ -60,9 +62,10 @@ WORLDS = TaskNotes(lambda task: TRAINERS.get(task).worlds)
 class Train:
     """Train a policy and write its weights: social_nav from images, rearrange with a population of partners, or a skill.
 
-    Every command takes the weights as a policy: --policy weights:out/nav/policy.npz. The folder gets policy.npz, curve.parquet
-    (the learning curve; tensorboard/ too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of
-    rearrange also partner_0.npz, ..., where partners learn. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
+    The weights can be used as a policy in every command: --policy weights:out/nav/policy.npz. The folder gets
+    policy.npz, curve.parquet (the learning curve; also tensorboard/ if TensorBoard is installed) and checkpoint.pt,
+    all updated every half minute. For rearrange, it also gets partner_0.npz, ... if partners learn. Ctrl-C or SIGTERM
+    finishes the current update and saves; --resume continues the run.
 
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav
@@ -86,55 +89,68 @@ class Train:
     """
 
     task: Annotated[tyro.conf.Positional[str], NameOf(TRAINERS.names)]
-    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills;
-    skill: one of these skills. All with the paper's rewards."""
+    """Task to learn with the paper's rewards: social_nav (find a walking person and follow them), rearrange (help a
+    person to bring two objects to their goals, by skills), or skill (one of these skills).
+    """
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
     skill: tyro.conf.Positional[str] = ""
-    """skill: nav, pick or place."""
+    """Skill to learn with the task skill: nav, pick or place."""
     population: Annotated[str | None, POPULATIONS] = None
-    """Partners of the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to plan_pop_4:
-    planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
+    """Partners of the robot (paper section 4.2). learn_single (one person who also learns), plan_pop_1 to plan_pop_4
+    (planners of one to four kinds), or learn_pop (eight people who learn, one in each episode) (default: plan_pop_3).
+    """
     ablate: Annotated[tuple[str, ...], POPULATIONS] = ()
-    """Ablations of the robot. humanoid_gps: it does not observe where the person is; primitives: it cannot choose the
-    four primitives of navigation."""
+    """Ablations of the robot. humanoid_gps (it does not observe the person's position) or primitives (it cannot choose
+    the four primitives of navigation).
+    """
     recipe: Annotated[Literal["fast", "paper", "tiny"] | None, RECIPES] = None
     """Settings by name."""
     seed: int = 0
     """Seed of everything random."""
     minutes: float | None = None
-    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills
-    10, with fast 6)."""
+    """Length of the run including set-up [minutes]; learning rate and horizon depend on it (default: 8.7, tiny 10,
+    rearrange 30, skills 10, with fast 6).
+    """
     updates: int | None = None
-    """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
+    """Length of the run in updates instead of minutes, with which the same seed gives the same weights on a CPU."""
     stop_after: float | None = None
-    """Time of this call after which it saves and stops [minutes]; --resume continues."""
+    """Time after which this call saves and stops [minutes]; --resume continues the run."""
     workers: Annotated[int | None, POPULATIONS] = None
-    """Processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
-    not depend on it."""
+    """Number of processes that play episodes, or with --worlds that prepare episodes (default: one for each core). The
+    weights do not depend on it.
+    """
     episodes_file: Annotated[Path | None, POPULATIONS] = None
-    """Episodes to play, sampled and written if there is no such file, so that several runs share them (default:
-    episodes.json.gz in the folder, with --worlds episodes.npz)."""
+    """File of the episodes to play, which is written with sampled episodes if it does not exist, so that several runs
+    can share it (default: episodes.json.gz in the folder, with --worlds episodes.npz).
+    """
     device: str = "cpu"
-    """Device of the worlds and of learning: cpu, cuda or cuda:N. Of rearrange, without --worlds, of learning alone."""
+    """Device of the worlds and of learning: cpu, cuda or cuda:N. For rearrange without --worlds, it is the device of
+    learning only.
+    """
     scenes: tuple[str, ...] = ()
-    """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
+    """Homes to train in, named as for h3data generate; several sets are allowed (default: h3-homes/train)."""
     episodes_per_home: int | None = None
-    """Number of episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    """Number of training episodes in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
     episodes_per_update: Annotated[int | None, POPULATIONS] = None
-    """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
+    """Number of episodes that --workers play between two updates (default: 32); more episodes keep more workers busy.
+    """
     pixels: Annotated[bool, POPULATIONS] = False
-    """The robot observes the depth of its arm's camera and what the paper's robot observes, and no state (h3data docs
-    populations)."""
+    """Let the robot observe the depth of its arm's camera and the observations of the paper's robot, but no state
+    (h3data docs populations).
+    """
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
     """Observations of the robot."""
     light: Annotated[LightMode | None, FOLLOWING] = None
-    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which takes seconds for
-    each home that is lit for the first time. The policy's card says it, and it is shown the same wherever it plays (default:
-    flat)."""
+    """Light in colours (arm_rgb): flat (equal everywhere) or baked (from windows, sun and lamps), which takes seconds
+    for each new home. The policy's card records the light, and the policy observes it wherever it plays (default:
+    flat).
+    """
     size: Annotated[str | None, BY_PPO] = None
-    """Size of the pictures that the robot observes, such as 96x72, with sides in multiples of 4 up to 1024. The policy's card
-    says it, and it is shown the same wherever it plays (default: 64x48, paper 224x171, tiny 32x24)."""
+    """Size of the pictures that the robot observes [pixels], such as 96x72, with sides in multiples of 4 up to 1024.
+    The policy's card records the size, and the policy observes it wherever it plays (default: 64x48, paper 224x171,
+    tiny 32x24).
+    """
     worlds: Annotated[int | None, WORLDS] = None
     """Number of worlds that are stepped at once."""
     action_repeat: Annotated[int | None, BY_PPO] = None
@@ -142,25 +158,34 @@ class Train:
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
     rules: Annotated[Literal["natural", "paper", "both"] | None, WITH_PEOPLE] = None
-    """Rules of the episodes, as of h3data generate, or both, half of the episodes each (default: natural; rearrange both)."""
+    """Rules of the episodes as for h3data generate, or both (half of the episodes each) (default: natural; rearrange
+    both).
+    """
     gpus: Annotated[int, BY_PPO] = 1
-    """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
-    processes that torchrun starts, as many as there are."""
+    """Number of processes that train together, one for each GPU, each with its share of the worlds; on the CPU, the
+    number of processes. In processes that torchrun starts, it is their number.
+    """
     warm_start: Annotated[str | None, BY_PPO] = None
-    """Trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is
-    less exploration, and the value looks farther ahead from the start."""
+    """Trained policy to start with: weights:FILE or end_to_end. The critic is new and at first learns alone.
+    Exploration is reduced, and the horizon of the value is longer from the start.
+    """
     rollout: Annotated[int | None, BY_PPO] = None
-    """Number of decisions per world between two updates, through which the recurrent state learns to remember (default:
-    32, tiny 16)."""
+    """Number of decisions per world between two updates, through which gradients of the recurrent state are propagated
+    (default: 32, tiny 16).
+    """
     minibatches: Annotated[int | None, BY_PPO] = None
-    """Number of parts of a rollout that are used one after the other (default: 4)."""
+    """Number of minibatches into which each rollout is divided (default: 4)."""
     follow_steps: Annotated[int | None, FOLLOWING] = None
-    """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
+    """Number of steps of following after which training episodes are cut short, so that they contain more finding
+    (default: 0, never).
+    """
     horizon: Annotated[float | None, BY_PPO] = None
-    """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
-    with --warm-start 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
+    """Horizon of the value at the end of the run, in steps of 1/30 s; that at the start is in proportion (default: 500
+    from 150, with --warm-start 750 from 500). A contact costs the rewards that would follow it, so a longer horizon
+    makes a robot more careful.
+    """
     resume: bool = False
-    """Continue from the checkpoint in the folder; begin if there is none."""
+    """Continue from the checkpoint in the folder, or start a run if there is none."""
     dry_run: DryRunFlag = False
     force: ForceFlag = False
     json: JsonFlag = False

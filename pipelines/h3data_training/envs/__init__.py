@@ -1,6 +1,7 @@
-"""Environments whose worlds are tensors on a torch device: what `h3data.make(task, device=...)` returns.
+"""Environments whose worlds are tensors on a torch device, which `h3data.make(task, device=...)` returns.
 
-The functions are entry points of `h3data.device_envs`, by the name of the task; ``any`` makes those of tasks that have none.
+The functions are entry points of `h3data.device_envs` with the name of a task; ``any`` is used for tasks without an
+entry point.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def make_social_nav(
     """Make the environment of social navigation of the robot; ``options`` are those of `SocialNavTorchEnv`.
 
     Raises:
-        InputError: others than the robot are asked to act, or an option is wrong.
+        InputError: an agent other than the robot is to act, or an option is invalid.
     """
     _require_robot(SocialNav.name, agents)
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
@@ -44,7 +45,7 @@ def make_rearrange(
     ``options`` are those of `RearrangeTorchEnv`.
 
     Raises:
-        InputError: an option is wrong.
+        InputError: an option is invalid.
     """
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.torch_env import enough_memory
@@ -56,10 +57,12 @@ def make_rearrange(
 def make_any(
     worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
 ) -> TaskTorchEnv | RearrangeTorchEnv:
-    """Return a task of one robot and one person; ``options`` are those of `TaskTorchEnv` or, with objects, `RearrangeTorchEnv`.
+    """Make the environment of a task of one robot and one person.
+
+    ``options`` are those of `TaskTorchEnv` or, for tasks with objects, of `RearrangeTorchEnv`.
 
     Raises:
-        InputError: the task has another person, its functions are not for tensors, or an option is wrong.
+        InputError: the task has another roster, its functions do not support tensors, or an option is invalid.
     """
     if isinstance(task, Rearrange):
         return make_rearrange(worlds, scenes, task=task, device=device, agents=agents, **options)

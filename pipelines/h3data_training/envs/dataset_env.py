@@ -1,4 +1,4 @@
-"""Environments that show a policy the same observations as demonstrations exported to LeRobot. Needs the extra ``env``."""
+"""Environments with the observations of demonstrations exported to LeRobot, which need the extra ``env``."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ EpisodeChoice = Literal["sampled", "recorded"]
 
 
 class DatasetEnv(gymnasium.Env[Any, Any]):
-    """Environment of one world for a policy that has learned from a dataset.
+    """Environment of one world for a policy that was trained on a dataset.
 
-    Observations have the keys, the numbers and the pictures of the dataset: `observation.state` and
-    `observation.images.CAMERA`, from the lenses that took its videos. Rewards are those of the dataset too: 1 for the step that
-    first leads to success. ``info["is_success"]`` says whether there was success by now.
+    Observations have the keys of the dataset, `observation.state` and `observation.images.CAMERA`, and the same
+    cameras. Rewards are those of the dataset too: 1 for the step that first leads to success. ``info["is_success"]``
+    states whether the episode has been successful so far.
 
-    As in the dataset, the first observation is that after the first step of the episode. In recorded episodes the agent does in
-    that step what it did then, in sampled ones it stands still.
+    As in the dataset, the first observation is that after the first step of the episode. In this step, the agent
+    repeats its recorded action in recorded episodes, and stands still in sampled ones.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
@@ -77,17 +77,17 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         Args:
             dataset: its folder.
             scenes: homes of sampled episodes, as for `h3data.make` (default: those of the dataset).
-            episodes: ``sampled``: new episodes under the rules of the dataset's first one. ``recorded``: the dataset's own,
-                from their starts; ``reset(seed=k)`` begins number k.
-            cameras: names of the cameras to show, as in ``robot_arm`` (default: all that the dataset has).
+            episodes: ``sampled``: new episodes under the rules of the dataset's first episode. ``recorded``: the
+                dataset's own, from their starts; ``reset(seed=k)`` starts episode k.
+            cameras: names of the cameras to observe, as in ``robot_arm`` (default: all that the dataset has).
             max_steps: length limit of an episode (default: that of its rules).
             light: light of the pictures (default: that of the videos).
             render_mode: ``rgb_array`` for `render`, or None.
             record: folder for the recording of each episode that is played to its end, ``SEED-NUMBER.mcap`` (default: none).
 
         Raises:
-            InputError: the dataset was not exported to LeRobot, or it cannot be played: its task has skills, its agent is no
-                robot, or nobody carries one of its cameras.
+            InputError: the dataset was not exported to LeRobot, or it cannot be played, because its task has skills,
+                its agent is not a robot, or one of its cameras is not on an agent.
             FormatError: it is damaged.
         """
         given = {"episodes": episodes, "cameras": cameras, "max_steps": max_steps, "light": light}
@@ -141,7 +141,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
     @property
     def max_episode_steps(self) -> int:
-        """Largest number of steps of an episode, without the one that `reset` makes."""
+        """Largest number of steps of an episode, without the step that `reset` makes."""
         return (self._max_steps or self._first.spec.max_steps) - 1
 
     def _space(self) -> Dict:
@@ -157,10 +157,10 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Begin the next episode, or with ``seed`` the first of another run; of recorded ones number ``seed``.
+        """Start the next episode, or with ``seed`` the first episode of another run or the recorded one of that number.
 
         Raises:
-            SceneError: a scene gives no episode.
+            SceneError: no episode can be sampled in a scene.
         """
         del options
         super().reset(seed=seed)
@@ -215,11 +215,10 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             self._recorder = Recorder.of(play, episode_id=name)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
-        """Act for 1/30 s.
+        """Apply an action for 1/30 s.
 
         Raises:
-            InputError: the action has another shape or a number that is not finite, or no episode is going on; then nothing has
-                moved.
+            InputError: the action has the wrong shape or is not finite, or no episode is running.
         """
         checked = checked_actions(action, self.action_space.shape or ())
         if self._loop is None or self._loop.over or self.play is None or self.play.over:

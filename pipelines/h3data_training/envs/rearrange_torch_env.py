@@ -1,4 +1,4 @@
-"""Rearrangement, and tasks derived from it, on a device: W worlds whose choices, observations and rewards are torch tensors."""
+"""Rearrangement and tasks derived from it on a device, in W worlds with choices and observations as tensors."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 
 KINDS = ("robot", "human")
 EPISODES = 256
-"""Default number of episodes in the bank: a minute or two to draw."""
+"""Default number of episodes in the bank, which take a minute or two to sample."""
 
 
 class RearrangeTorchEnv(TorchEnv[Play]):
     """W worlds of rearrangement or of a task derived from it on one device, with oracle skills (h3data docs gpu).
 
-    A step is 1/30 s in all worlds. Whose choice counts in the next one says ``info["choosing"]``; -1 goes on. They play the
-    episodes of a bank, each world in order from a place of its own, which follows from its seed. With two agents, actions,
-    observations and what info has of each are by agent.
+    A step is 1/30 s in all worlds. ``info["choosing"]`` states which agents' choices have an effect in the next step;
+    the choice -1 continues. The worlds play the episodes of a bank in order, each from a position that depends on its
+    seed. With two agents, actions, observations and the entries of info are given by agent.
     """
 
     def __init__(
@@ -68,10 +68,11 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             agents: agents that act: ``robot``, ``human`` or both.
             partner: planner of the other agent (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
             observations: names of observations (`h3data_training.torch.rearrange.observations.observed_of`).
-            spec: rules, with oracle skills; by default `ORACLE_RULES`, or the task's with what these say of skills.
+            spec: rules with oracle skills; by default `ORACLE_RULES`, or the rules of ``task`` with the oracle skills
+                of `ORACLE_RULES`.
             interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
             episodes: number of episodes in the bank, or a bank.
-            episodes_seed: seed of the run whose first episodes these are.
+            episodes_seed: seed of the run from which the first episodes are taken.
             robot: name of a built-in robot.
             human: name of a built-in body.
             graph: whether a step is captured as a CUDA graph; by default on a GPU.
@@ -133,18 +134,18 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by 1/30 s; worlds whose episode is over begin the next one.
+        """Advance all worlds by 1/30 s; worlds whose episode is over start the next one.
 
         Args:
             actions: numbers of choices, int64 [W], or a mapping of them by agent. Those of busy agents have no effect; -1
-                continues what an agent is doing, or waits. Numbers that are too large count as the last choice: checking them
-                would have to wait for the device.
+                continues what an agent is doing, or waits. Numbers that are too large count as the last choice, because
+                    a check would have to wait for the device.
 
         Returns:
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have another shape or are not integers, or no episode has begun.
+            InputError: the actions have the wrong shape or are not integers, or no episode has started.
         """
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
@@ -165,9 +166,9 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """Return facts beyond the observations, [W, ...] each; ``episode`` is a number in the bank.
+        """Return data in addition to the observations, [W, ...] each; ``episode`` is a number in the bank.
 
-        With two agents, the entries of each agent begin with ``robot_`` or ``human_``.
+        With two agents, the names of the entries of each agent start with ``robot_`` or ``human_``.
         """
         return {name: tensor.clone() for name, tensor in self._told.items()}
 
@@ -210,7 +211,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
     def single_action_space(self) -> Space[Any]:
-        """Action space of one world; with two agents, by agent."""
+        """Action space of one world, or with two agents a space for each agent."""
         from sim_kinematic.envs.stepper import gymnasium
 
         spaces: dict[str, Space[Any]] = {
@@ -220,7 +221,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     @cached_property
     def single_observation_space(self) -> Dict:
-        """Observation space of one world; with two agents, by agent."""
+        """Observation space of one world, or with two agents a space for each agent."""
         from sim_kinematic.envs.stepper import gymnasium
         from sim_kinematic.sensing.observation_set import box
 

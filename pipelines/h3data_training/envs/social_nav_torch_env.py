@@ -1,4 +1,4 @@
-"""Social navigation for training on a device."""
+"""Training environment of social navigation on a device."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class SocialNavTorchEnv(TaskTorchEnv):
     def __init__(
         self, num_envs: int = 1, scenes: Scenes = "h3-homes/train", *, reward: str = "paper", **options: Any
     ) -> None:
-        """``options`` are those of `TaskTorchEnv`; the rules are those of the paper's training by default.
+        """Create the environment with the options of `TaskTorchEnv` and by default the paper's training rules.
 
         Raises:
-            InputError: another reward than the paper's is asked for, or an option is wrong.
+            InputError: the rules have a different reward than the paper's, or an option is invalid.
         """
         if reward != "paper":
             raise InputError(
@@ -45,7 +45,7 @@ class SocialNavTorchEnv(TaskTorchEnv):
         return SocialNavTensors(self.bank, **options)
 
     def info(self) -> Tensors:
-        """Return facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        """Return data in addition to the observations, [W] each; ``episode`` is a number in the bank."""
         memory = self.play.memory
         known = {name: memory[name].clone() for name in ("found", "followed")}
         return super().info() | known | {"geodesic_m": memory["geodesic"].clone()}

@@ -29,21 +29,21 @@ if TYPE_CHECKING:
     from h3data_training.torch.episodes import EpisodeBank
 
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
-"""Observations that need a picture, and so a GPU."""
+"""Observations that need a rendered picture, and therefore a GPU."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
-"""Outputs of the arm's depth camera from which the observations are made."""
+"""Outputs of the arm's depth camera from which the observations are computed."""
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 EPISODES = 512
 """Default number of episodes in the bank, which take some seconds to sample."""
 
 
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
-    """Return the arm cameras that observations need: that of depth and detector, then that of colours, if there is one."""
+    """Return the arm cameras that observations need: that of depth and detector, then the colour camera, if any."""
     return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
 
 
 def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
-    """Return the named observations `PICTURED` of all worlds as last posed, [W, ...]."""
+    """Return the named observations of `PICTURED` for the last poses of all worlds, [W, ...] each."""
     by_arm: list[Output] = [OUTPUTS[name] for name in names if name in OUTPUTS]
     seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
     if "depth" in seen:
@@ -57,10 +57,10 @@ def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
 
 
 def cameras_of(bank: Any, robot: Robot, human: Humanoid, walker: WalkerSpec, **options: Any) -> TensorCameras:
-    """Return cameras in the homes of a bank; ``options`` are those of `h3data_training.torch.cameras.TensorCameras`.
+    """Return cameras in the homes of a bank, with the options of `h3data_training.torch.cameras.TensorCameras`.
 
     Raises:
-        InputError: the floors are at several heights, or there is no GPU.
+        InputError: the floors have different heights, or there is no GPU.
     """
     from h3data_training.torch.cameras import TensorCameras
 
@@ -76,7 +76,7 @@ def cameras_of(bank: Any, robot: Robot, human: Humanoid, walker: WalkerSpec, **o
 class TaskTorchEnv(TorchEnv[Play]):
     """W worlds of a task on one device (h3data docs gpu).
 
-    They play the episodes of a bank, each world in order from a place of its own, which follows from its seed.
+    The worlds play the episodes of a bank in order, each from a position that depends on its seed.
     """
 
     def __init__(
@@ -109,12 +109,12 @@ class TaskTorchEnv(TorchEnv[Play]):
             dtype: type of the state: by default float64 on the CPU, else float32.
             observations: names of observations.
             spec: rules; by default those of the task's environments.
-            end_on_success: whether success ends an episode even where the task goes on.
-            depth_size: width and height of pictures [px]; None is that of the robot's camera.
-            light: light in ``arm_rgb``, as in environments without a device: ``baked``, which is computed once for each home
-                and kept in a cache, or ``flat``.
+            end_on_success: whether success ends an episode even if the task would continue.
+            depth_size: width and height of pictures [px]; None for the size of the robot's camera.
+            light: light in ``arm_rgb``, as in environments without a device: ``baked``, which is computed once for each
+                home and cached, or ``flat``.
             episodes: number of episodes in the bank, or a bank.
-            episodes_seed: seed of the run whose first episodes these are.
+            episodes_seed: seed of the run from which the first episodes are taken.
             robot: name of a built-in robot.
             human: name of a built-in body.
             graph: whether a step is captured as a CUDA graph; by default on a GPU.
@@ -161,17 +161,17 @@ class TaskTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by 1/30 s; worlds whose episode is over begin the next one.
+        """Advance all worlds by 1/30 s; worlds whose episode is over start the next one.
 
         Args:
-            actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite count as
-                0: checking them would have to wait for the device.
+            actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite
+                count as 0, because a check would have to wait for the device.
 
         Returns:
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have another shape, or no episode has begun.
+            InputError: the actions have the wrong shape, or no episode has started.
         """
         self._require_begun()
         given = torch.as_tensor(actions)
@@ -184,7 +184,7 @@ class TaskTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """Return facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        """Return data in addition to the observations, [W] each; ``episode`` is a number in the bank."""
         play = self.play
         known = {
             "success": self.sim.succeeded(play),

@@ -1,6 +1,6 @@
-"""An environment of W worlds as tensors on a device: episodes of a bank, steps in place, one CUDA graph on a GPU.
+"""Environment of W worlds as tensors on a device, which plays episodes of a bank, as one CUDA graph per step on a GPU.
 
-The interface is Gymnasium's of vector environments, which need not be installed. Autoreset is its NEXT_STEP.
+The interface is that of Gymnasium's vector environments, which need not be installed. The autoreset mode is NEXT_STEP.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Tensors = dict[str, Tensor]
 
 
 class Playing(Protocol):
-    """State of W worlds in their episodes."""
+    """Protocol of the state of W worlds in their episodes."""
 
     @property
     def episode(self) -> Tensor:
@@ -62,7 +62,10 @@ P = TypeVar("P", bound=Playing)
 
 
 class TorchEnv(Generic[P]):
-    """The part that all tasks share. A task sets ``play`` and ``bank`` and has `_moved`, `_result` and `info`."""
+    """Base class of the environments of all tasks, which set ``play`` and ``bank``.
+
+    Subclasses also define `_moved`, `_result` and `info`.
+    """
 
     name: str
     """Name of the task."""
@@ -74,7 +77,7 @@ class TorchEnv(Generic[P]):
     def __init__(
         self, num_envs: int, device: torch.device | str, *, graph: bool | None = None, compile: bool | None = None
     ) -> None:
-        """Check the device.
+        """Check the device and store the options.
 
         Args:
             num_envs: number of worlds W.
@@ -97,10 +100,10 @@ class TorchEnv(Generic[P]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Any, Tensors]:
-        """Begin the next episode in all worlds.
+        """Start the next episode in all worlds.
 
-        With a seed, worlds first move to the places in the bank at which the runs seed, seed + 1, ..., or the listed
-        ones, begin. There are no ``options``.
+        With a seed, worlds first move to the positions in the bank at which the runs seed, seed + 1, ..., or the listed
+        runs, start. There are no ``options``.
         """
         if seed is None and not self._begun:
             seed = int.from_bytes(os.urandom(7), "little")
@@ -116,7 +119,7 @@ class TorchEnv(Generic[P]):
         return self._result(), self.info()
 
     def info(self) -> Tensors:
-        """Return facts beyond the observations, [W, ...] each."""
+        """Return data in addition to the observations, [W, ...] each."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -183,7 +186,7 @@ class TorchEnv(Generic[P]):
 
 @contextmanager
 def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
-    """Report a lack of memory on a device in one sentence that names the worlds.
+    """Turn a lack of memory on a device, within a block, into an `InputError` that names the number of worlds.
 
     Raises:
         InputError: its memory does not suffice.
@@ -204,7 +207,7 @@ def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
 
 
 def checked_device(device: torch.device | str) -> torch.device:
-    """Return the device of this name.
+    """Return the torch device with a name.
 
     Raises:
         InputError: this build of torch cannot use a device of this name.
@@ -221,7 +224,7 @@ def checked_device(device: torch.device | str) -> torch.device:
 
 
 def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
-    """Return the episode of the bank at which each world begins, for runs seed, seed + 1, ..., or those listed, [W].
+    """Return the bank's episode at which each world starts, [W], for the runs seed, seed + 1, ..., or the listed runs.
 
     Raises:
         InputError: there is neither one seed nor one for each world.

@@ -1,6 +1,6 @@
 """Recurrent proximal policy optimisation (Schulman et al. 2017) of one agent that chooses skills.
 
-A decision takes as many simulated steps as it takes; what comes after it is discounted by that (Sutton et al. 1999).
+A decision lasts for a variable number of simulated steps, by which later rewards are discounted (Sutton et al. 1999).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LEARNED_FROM = (
     "target",
     "guessed",
 )
-"""Columns of a minibatch."""
+"""Names of the columns of a minibatch."""
 
 
 class Plan(NamedTuple):
@@ -49,7 +49,7 @@ class Plan(NamedTuple):
 
 
 def plan_at(settings: PopulationSettings, share: float, update: int) -> Plan:
-    """Return the plan at a share of the run, 0..1, before update number ``update``."""
+    """Return the plan before update number ``update``, at a given share of the run (0..1)."""
     s = settings
     rate, entropy = s.rate * (1 - (1 - s.rate_end) * share), s.entropy * (1 - (1 - s.entropy_end) * share)
     return Plan(rate, entropy, update >= s.critic_updates)
@@ -79,15 +79,15 @@ class ChooserLearner:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Weights and optimizer for a checkpoint: numbers only."""
+        """State of weights and optimizer for a checkpoint, which consists of numbers only."""
         return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `state`, of any device.
+        """Restore weights and optimizer from a `state`, which may come from another device.
 
         Raises:
-            KeyError: a part is missing,
-            RuntimeError, ValueError: or of another shape.
+            KeyError: a part of the state is missing.
+            RuntimeError, ValueError: a part of the state has the wrong shape.
         """
         self.net.load_state_dict(state["net"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -98,7 +98,7 @@ class ChooserLearner:
             kept["step"] = kept["step"].to(self.device)
 
     def network(self, training: dict | None = None) -> SkillPolicyNetwork:
-        """Return the policy so far."""
+        """Return the policy in its current state."""
         s = self.settings
         card = PolicyCard(
             task=Rearrange.name,
@@ -116,7 +116,7 @@ class ChooserLearner:
         return SkillPolicyNetwork(card=card, arrays=self.net.arrays())
 
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
-        """Learn from decisions; return losses by name."""
+        """Update the networks from decisions, and return losses by name."""
         s = self.settings
         for tensor, value in ((self._rate, plan.rate), (self._entropy, plan.entropy), (self._acts, float(plan.acts))):
             tensor.fill_(value)
@@ -209,7 +209,7 @@ class ChooserLearner:
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
-    """Compute generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
+    """Compute generalised advantage estimates [D] of decisions of different durations (Schulman et al. 2016).
 
     ``counts`` are the numbers of decisions in each of E episodes.
     """
@@ -222,10 +222,11 @@ def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *,
 
 
 def chunks_of(counts: Tensor, length: int) -> tuple[Tensor, Tensor]:
-    """Split the decisions of E episodes into chunks of consecutive ones.
+    """Split the decisions of E episodes into chunks of consecutive decisions.
 
-    Returns the numbers of the decisions [length, C], and which of them exist, bool. The last chunk of an episode may be
-    shorter; its last number is then repeated. ``counts`` [E] are the numbers of decisions in each episode.
+    Returns the numbers of the decisions [length, C], and a mask of those that exist, bool [length, C]. The last chunk
+    of an episode may be shorter; its last number is then repeated. ``counts`` [E] are the numbers of decisions in each
+    episode.
     """
     chunks = (counts + length - 1) // length
     ends = counts.cumsum(0)

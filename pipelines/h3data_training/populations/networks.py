@@ -1,4 +1,4 @@
-"""Chooser in PyTorch, with a critic that only training needs.
+"""Policy network for choices of skills in PyTorch, with a critic that only training needs.
 
 `sim_kinematic.policies.choosers.chooser_network` is the same policy in NumPy.
 """
@@ -22,13 +22,15 @@ from sim_kinematic.policies.choosers.chooser_network import (
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
-"""Probability, at the start of training, that an interrupted agent continues on its path: 0.97, as otherwise nobody
-would ever arrive."""
+"""Probability, at the start of training, that an interrupted agent continues on its path. It is 0.97, because otherwise
+agents would never arrive.
+"""
 AT_HAND, ASIDE = 1.0, -2.0
-"""Initial biases of the network for picking and placing at the target, and for waiting and the primitives."""
+"""Initial biases of the network's scores for picking and placing at the target, and for waiting and the primitives."""
 GUESSED = ("held_by_other", "at_goal")
-"""Exact values of each object that a robot with pictures does not observe and learns to predict, so that its memory
-holds them."""
+"""Exact values of each object that a robot with pictures does not observe but learns to predict, so that its recurrent
+state contains them.
+"""
 
 
 def guessed_columns(agent: str, objects: int) -> list[int]:
@@ -39,7 +41,7 @@ def guessed_columns(agent: str, objects: int) -> list[int]:
 
 
 class Chooser(nn.Module):
-    """A recurrent actor, a critic that observes the identity of the partner, and the other parts that only training needs."""
+    """Network with a recurrent actor, and a critic that observes the identity of the partner."""
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()
@@ -73,9 +75,9 @@ class Chooser(nn.Module):
             self.rest_1.bias.fill_(ASIDE)
 
     def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Return scores [T, B, C] and states [T, B, H], for inputs [T, B, K, F] and [T, B, R] and initial states [B, H].
+        """Return scores [T, B, C] and states [T, B, H] for inputs [T, B, K, F] and [T, B, R] and initial states [B, H].
 
-        ``pictures`` are roots of depth [T, B, H, W], of a policy that does not see [T, B, 0, 0].
+        ``pictures`` are square roots of depth [T, B, H, W], or [T, B, 0, 0] for a policy without pictures.
         """
         if self.sees:
             pixels = F.pixel_unshuffle(pictures.flatten(0, 1)[:, None].float(), PATCH)

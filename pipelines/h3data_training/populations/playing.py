@@ -1,7 +1,7 @@
-"""Training episodes, played whole by processes with homes in memory: observations, choices and rewards of learners.
+"""Training episodes that processes play with homes in memory, with observations, choices and rewards of learners.
 
-An episode follows from the weights, the seed and its number alone. So it does not matter which process plays it, and one that
-was lost is played again.
+An episode depends only on the weights, the seed and its number. Therefore any process can play it, and a lost episode
+is played again.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import run
 
 LOST_IN_A_ROW = 3
-"""Number of processes that may be lost without an episode in between before a run gives up."""
+"""Number of consecutive lost processes, without an episode in between, after which a run gives up."""
 
 
 class Job(NamedTuple):
-    """Training episode to play."""
+    """Job that plays one training episode."""
 
     number: int
     """Number of the episode in the run."""
     entry: int
-    """Entry of the pool with the episode."""
+    """Entry of the pool that describes the episode."""
     partner: str
     """Partner of the robot: a plan, or a learner by name."""
     networks: Mapping[str, SkillPolicyNetwork]
@@ -60,10 +60,10 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decisions:
-    """All D decisions of one learner in E episodes, one episode after the other: arrays, or tensors on a device."""
+    """All D decisions of one learner in E episodes, by episode, as arrays or as tensors on a device."""
 
     each: Any
-    """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
+    """Inputs that belong to one object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     rest: Any
     """Inputs that belong to no single object, [D, R]."""
     pictures: Any
@@ -78,10 +78,11 @@ class Decisions:
     """Choices made, int64 [D]."""
     log_prob: Any
     gain: Any
-    """Reward until the next decision, discounted to this one, [D]."""
+    """Reward until the next decision, discounted to the time of this decision, [D]."""
     discount: Any
-    """Discount of returns from the next decision on, [D]; 0 after the last: the time is observed, so the end of an
-    episode is final."""
+    """Discount of returns from the next decision on, [D]; 0 after the last decision, because the time is observed and
+    the end of an episode is final.
+    """
     counts: NDArray[np.int64]
     """Number of decisions in each episode, [E]; their sum is D."""
     partners: tuple[str, ...]
@@ -100,7 +101,7 @@ class Played:
     ended: str
     reward: float
     placed: int
-    """Number of objects that the robot was the last to put at their goals."""
+    """Number of objects at their goals that the robot was the last to put there."""
     at_goal: int
     """Number of objects that are at their goals."""
 
@@ -113,7 +114,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Batch]) -> Batch:
-        """Return batches as one, episode after episode."""
+        """Return several batches joined into one, episode after episode."""
         found: dict[str, list[Decisions]] = {}
         for part in parts:
             for name, decisions in part.decisions.items():
@@ -174,16 +175,16 @@ class _Sampler(RecurrentSkillPolicy):
 
 
 def log_softmax(scores: Array) -> Array:
-    """Return logarithms of the probabilities of scores [C]; minus infinity stays as it is."""
+    """Return the logarithms of the probabilities for scores [C]; minus infinity remains minus infinity."""
     shifted = scores - scores.max()
     return shifted - np.log(np.exp(shifted).sum())
 
 
 def discounted(rewards: Array, steps: Sequence[int], gamma: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the discounted reward between each decision and the next one [D], and the number of steps between them.
+    """Return the discounted reward between consecutive decisions [D], and the number of steps between them.
 
-    Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;
-    all but the last of them then have no reward.
+    Decisions are made at ``steps`` [D], and rewards are discounted to these steps. If several decisions are made at one
+    step, all but the last of them have no reward.
     """
     edges = np.append(steps, len(rewards))
     gains = [float(rewards[a:b] @ gamma ** np.arange(b - a)) for a, b in pairwise(edges)]
@@ -225,7 +226,7 @@ _EPISODES: Sequence[RearrangeEpisode] = ()
 
 
 class Players:
-    """Processes that play training episodes, or this one if there is one worker."""
+    """Pool of processes that play training episodes, or only this process if there is one worker."""
 
     def __init__(
         self,
@@ -235,7 +236,7 @@ class Players:
         device: str = "cpu",
         say: Callable[[str], None] = lambda line: None,
     ) -> None:
-        """Prepare players of some episodes; ``device`` is that on which others learn from them."""
+        """Prepare players of a list of episodes; ``device`` is that on which learners use the decisions."""
         global _EPISODES
         self.device = device
         _EPISODES = self._episodes = tuple(episodes)
@@ -253,14 +254,14 @@ class Players:
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compile and load code once, before there are several processes, by playing the first of some episodes."""
+        """Compile and load code once, before several processes start, by playing the first of some episodes."""
         self.play(jobs[:1])
 
     def play(self, jobs: Sequence[Job]) -> Batch:
-        """Play some episodes, in their order; those that raise are left out.
+        """Play episodes in order, and leave out episodes that raise an error.
 
         Raises:
-            H3DataError: processes are lost again and again, or every episode raises.
+            H3DataError: processes are lost repeatedly, or every episode raises an error.
         """
         played: dict[int, Batch | str] = {}
         lost = 0

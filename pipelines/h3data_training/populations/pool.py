@@ -1,4 +1,4 @@
-"""Episodes that a run plays again and again, sampled by several processes and stored in a file."""
+"""Pool of episodes that a run plays repeatedly, sampled by several processes and stored in a file."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HomeTask = tuple[PopulationSettings, str, int]
-"""Settings, name and number of a home."""
+"""Settings of a pool, and the name and number of a home."""
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
-"""Seed of all pools: runs differ only in what they learn from the same episodes."""
+"""Seed of all pools, so that runs differ only in what they learn from the same episodes."""
 TRIES = 3
 """Number of seeds of an episode that are tried in a home."""
 
@@ -50,7 +50,7 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Gait of the person."""
     seed: int
     starts: list[list[float]]
-    """Starts ``(x, z, heading)`` of robot and person."""
+    """Starts ``(x, z, heading)`` of robot and person [m, m, rad]."""
     goals: list[StoredGoal]
 
 
@@ -63,7 +63,7 @@ class Pool(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
-    """Return the settings that decide which episodes there are."""
+    """Return the settings that determine the episodes of a pool."""
     return {
         "scenes": settings.scenes,
         "episodes_per_home": settings.episodes_per_home,
@@ -74,11 +74,11 @@ def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
 
 
 def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
-    """Return the episodes of a file; if there is none, sample them and write it.
+    """Return the episodes in a file, or sample them and write the file if it does not exist.
 
     Raises:
         FormatError: the file is not a pool of episodes, or is damaged.
-        InputError: it was drawn by other settings.
+        InputError: the file was sampled with other settings.
         SceneError: a home has no room for an episode.
     """
     if not file.exists():
@@ -108,7 +108,7 @@ def _require_drawn_by(settings: PopulationSettings, kept: Mapping[str, Any], fil
 
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
-    """Draw as many episodes in each home, in several processes."""
+    """Sample the same number of episodes in each home, in several processes."""
     return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=_of_homes(_drawn, settings, workers))
 
 
@@ -146,10 +146,10 @@ def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -
 
 
 def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
-    """Return the episodes of a pool, ready to be played, with homes built.
+    """Return the episodes of a pool with their homes built, ready to be played.
 
     Raises:
-        InputError: a home is not there, or lacks an object.
+        InputError: a home does not exist, or lacks an object.
     """
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
     homes: dict[str, Home] = {}
@@ -194,7 +194,10 @@ def _home(name: str) -> Home:
 
 
 def pool_order(size: int, seed: int, episode: int) -> int:
-    """Return the entry that a training episode plays: all of them once in random order, then again in another."""
+    """Return the pool entry that a training episode plays.
+
+    All entries are played once in random order, then in another order.
+    """
     from sim_kinematic.motion.randomness import generator
 
     around, place = divmod(episode, size)
@@ -202,12 +205,12 @@ def pool_order(size: int, seed: int, episode: int) -> int:
 
 
 def default_workers() -> int:
-    """Return one process for each core that this one may use."""
+    """Return the default number of processes, one for each core that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> RearrangeBank:
-    """Load the episodes of a file, paths included, for worlds on a device; sample and store them if there is no file.
+    """Load the episodes and paths in a file for worlds on a device, or sample and store them if there is no file.
 
     Raises:
         FormatError: the file is damaged or of another kind.
@@ -238,10 +241,10 @@ def _home_bank(task: HomeTask) -> list[RearrangeBank]:
 
 
 def with_scenes(bank: RearrangeBank, file: Path) -> RearrangeBank:
-    """Return the bank with its homes opened, for pictures.
+    """Return a bank with its homes opened, as rendering needs them.
 
     Raises:
-        InputError: the file does not name the homes, as one of before 0.3.
+        InputError: the file does not name the homes, because it is from a version before 0.3.
     """
     if len(bank.names) != len(bank.floors):
         raise InputError(

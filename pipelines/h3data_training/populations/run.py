@@ -1,4 +1,4 @@
-"""A run of rearrangement in a folder: episodes, processes that play, learners, learning curve, checkpoints, policy files."""
+"""Training run of rearrangement in a folder, with players, learners, learning curve, checkpoints and policies."""
 
 from __future__ import annotations
 
@@ -51,29 +51,29 @@ def train(
     episodes: Sequence[RearrangeEpisode] | None = None,
     say: Say = lambda text: None,
 ) -> RunResult:
-    """Train until the run is over, ``stop_after`` minutes have passed, or an interruption, and save.
+    """Train until the run ends, ``stop_after`` minutes have passed, or an interruption occurs, and save the state.
 
-    A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
+    A run whose length is given in updates gives identical weights with any number of workers, interrupted or not.
 
     Args:
         folder: Existing folder. `POLICY` (the robot), ``partner_0.npz``, ... (partners that learn), `CHECKPOINT` and the
-            learning curve (`h3data_training.curve`) appear there.
+            learning curve (`h3data_training.curve`) are written there.
         settings: Settings of the training.
-        seed: Everything random follows from it.
-        workers: Processes that play; None is one for each core. 1 plays here.
+        seed: Seed of everything random.
+        workers: Number of processes that play; None is one for each core, and 1 uses this process.
         device: Torch device of the learners, and of worlds with oracle skills (`PopulationSettings.oracle`).
-        resume: Go on from the checkpoint in the folder, if there is one.
-        stop_after: Minutes of this call, set-up included; None: until the run is over.
-        checkpoint_s: Seconds between two checkpoints.
-        episodes_file: File of the episodes to play, which runs may share; it is written if absent. By default
-            `EPISODES` in the folder, in worlds `BANK`.
-        episodes: Episodes to play instead.
-        say: Told what goes on, in lines.
+        resume: True continues from the checkpoint in the folder, if there is one.
+        stop_after: Time limit of this call including set-up [min]; None for the whole run.
+        checkpoint_s: Time between two checkpoints [s].
+        episodes_file: File of the episodes to play, which runs may share; it is written if it does not exist. The
+            default is `EPISODES` in the folder, or `BANK` for worlds on a device.
+        episodes: Episodes to play instead of those of a file.
+        say: Function that is called with lines of text about the progress.
 
     Raises:
-        InputError: a setting does not fit, or the checkpoint or the episodes are of other settings.
+        InputError: a setting does not fit, or the checkpoint or the episodes have other settings.
         FormatError: the checkpoint, or the file of episodes, is damaged.
-        H3DataError: processes that play are lost again and again.
+        H3DataError: processes that play are lost repeatedly.
     """
     began = time.time()
     count = workers or default_workers()

@@ -1,6 +1,6 @@
-"""Skill policies for worlds on a device: one network or several as tensors.
+"""Skill policies for worlds on a device, with one or several networks as tensors.
 
-Each step is that of `sim_kinematic.policies.choosers.recurrent_chooser`.
+Each step is equivalent to that of `sim_kinematic.policies.choosers.recurrent_chooser`.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ class Row(NamedTuple):
 
 
 class TensorSkillPolicy:
-    """The choosers of one agent of all worlds, one network for each name."""
+    """Skill policy of one agent in all worlds, with one network for each name."""
 
     def __init__(self, sim: RearrangeTensors, play: Play, cast: Sequence[tuple[str, int]], agent: str) -> None:
-        """``cast`` are names and in how many worlds each plays."""
+        """Create the policy; ``cast`` has the names of networks, and the number of worlds in which each plays."""
         self._play = play
         self._sim, self._agent = sim, agent
         self._names = [name for name, _ in cast]
@@ -78,7 +78,10 @@ class TensorSkillPolicy:
         return [self._state, self._thought]
 
     def begin(self, jobs: Sequence[Job], names: Sequence[str], generator: torch.Generator, *, steps: int) -> None:
-        """Begin episodes of at most so many steps, with the present networks in the worlds whose ``names`` they have."""
+        """Start episodes of at most a given number of steps.
+
+        Each world uses the current network of its name in ``names``.
+        """
         device = self._sim.device
         first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
         self._hold, self._observations, self._sees = first.card.hold, first.card.observations, bool(first.sees)
@@ -106,11 +109,11 @@ class TensorSkillPolicy:
         self._thought.zero_()
 
     def look(self, depth: Tensor, found: Tensor) -> None:
-        """Read the pictures by which networks choose until the next look.
+        """Read the pictures that networks use for their choices until the next call.
 
         Args:
-            depth: what the arm's camera sees [W, H, W'], as the observation ``arm_depth``.
-            found: whether it sees a person [W, 1].
+            depth: images of the arm's camera [W, H, W'], as the observation ``arm_depth``.
+            found: whether the camera sees a person [W, 1].
         """
         self._pictures.copy_(depth.float().sqrt())
         self._found.copy_(found)
@@ -120,7 +123,7 @@ class TensorSkillPolicy:
         self._features.copy_(seen)
 
     def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Choose [W] by `Paths` and ``noise`` [W, C], -1 for agents that are not asked; also return the parts of a `Row`."""
+        """Return choices [W] for `Paths` and ``noise`` [W, C], -1 for no choice, and parts of a `Row`."""
         play = self._play
         view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)
@@ -147,11 +150,11 @@ class TensorSkillPolicy:
         return torch.where(asked, chosen, FREE), each, rest, self._pictures, told, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
-        """Return random numbers of the step with this number [1], uniform in 0..1, [W, C]."""
+        """Return random numbers of the step with a number [1], uniform in 0..1, [W, C]."""
         return self._noise.index_select(0, step)[0]
 
     def keep(self, row: Row, step: Tensor) -> None:
-        """Remember a row of the step with this number [1]."""
+        """Store a row of the step with a number [1]."""
         keep_row(self._kept, step, row._asdict(), rows=len(self._noise))
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
@@ -173,7 +176,7 @@ class TensorSkillPolicy:
     def decisions(
         self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]
     ) -> dict[str, Decisions]:
-        """Return decisions of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
+        """Return the decisions of each learner for ``rewards`` [T, W], of which each world has used ``steps`` [W]."""
         asked = self._kept["asked"][: len(rewards)]
         world, when = asked.T.nonzero().unbind(1)  # one world after the other
         is_last = torch.ones_like(world, dtype=torch.bool)
@@ -211,7 +214,7 @@ def encode(
 ) -> tuple[Tensor, Tensor]:
     """Return the inputs of each object [W, K, F] and the other inputs [W, R].
 
-    They are those of `sim_kinematic.policies.choosers.chooser_network.encoded`.
+    They equal those of `sim_kinematic.policies.choosers.chooser_network.encoded`.
     """
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
     for name in numbers_of(observations):
@@ -230,15 +233,15 @@ def encode(
 
 
 def features(arrays: Arrays, roots: Tensor) -> Tensor:
-    """Return features [W, F] of the roots of depth [W, H, W'], by the only network of P."""
+    """Return features [W, F] of square roots of depth [W, H, W'] by the only network."""
     pixels = functional.pixel_unshuffle(roots[:, None], PATCH)
     return picture_features({name: array[0] for name, array in arrays.items()}, pixels)
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Return scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork.__call__`.
+    """Return scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork` does.
 
-    Inputs are [P, N, K, F] for objects, [P, N, R] for the rest, and the states.
+    Inputs are [P, N, K, F] for objects, [P, N, R] for the remaining inputs, and the states [P, N, H].
     """
 
     def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
@@ -262,7 +265,7 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
 
 
 def allowed(view: View, *, informed: bool = True) -> Tensor:
-    """Return which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
+    """Return a mask of sensible choices [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by

@@ -1,7 +1,7 @@
 """Training episodes with oracle skills in worlds on a device, all episodes of an update at once.
 
-They give the same decisions as `h3data_training.populations.playing` (`h3data_training.torch.rearrange`). The episodes
-of an update follow from the weights, the seed, and their numbers.
+The decisions equal those of `h3data_training.populations.playing`. The episodes of an update depend on the weights, the
+seed, and their numbers.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.rearrange import planner
 
 APART_M = 2.0
-"""Least distance between agents at the start [m]."""
+"""Smallest distance between agents at the start [m]."""
 SEEN = ("arm_depth", "humanoid_detector")
-"""Observations that come from pictures."""
+"""Observations that are computed from pictures."""
 LOOK_STEPS = 5
-"""Number of steps from one picture to the next. A picture takes longer than the rest of a step, and close to each other
-agents choose once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`): a picture is at most
-4 steps old."""
+"""Number of steps from one picture to the next. A picture takes longer than the rest of a step, and agents that are
+close to each other choose once in five steps (`sim_kinematic.policies.choosers.recurrent_chooser.ALERT_STEPS`). A
+picture is at most 4 steps old.
+"""
 CHECK_STEPS = 25
 """Number of steps between checks whether all episodes are over, which wait for the device."""
 
 
 class TensorPlayers:
-    """Players of training episodes in worlds on a device, as `h3data_training.populations.playing.Players` is for processes."""
+    """Player of training episodes in worlds on a device, with the interface of `playing.Players`."""
 
     workers = 1
 
@@ -58,9 +59,9 @@ class TensorPlayers:
             bank: episodes to choose from.
             device: device of the worlds.
             compile: whether the operations of a step are fused; by default on a GPU, if Triton is installed.
-            moves_starts: whether agents begin at starts of any episodes of the same home.
-            picture_size: width and height of what the robot sees [px]; None: it sees nothing. Objects are drawn where they
-                are in the home, also while somebody holds them.
+            moves_starts: whether agents start at starts of any episodes of the same home.
+            picture_size: width and height of the robot's pictures [px]; None for a robot without pictures. Objects are
+                rendered at their places in the home even while an agent holds them.
         """
         self._size = picture_size
         self._bank, self.device, self._moves_starts = bank, torch.device(device), moves_starts
@@ -78,12 +79,12 @@ class TensorPlayers:
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compile a step, where that is done, by playing some episodes."""
+        """Compile a step, if steps are compiled, by playing some episodes."""
         if self._compiles or self.device.type == "cuda":
             self.play(jobs)
 
     def play(self, jobs: Sequence[Job]) -> Batch:
-        """Play some episodes, in their order, all at once."""
+        """Play some episodes all at once, and return them in order."""
         casts = _casts(jobs)
         with torch.no_grad():
             if self._worlds is None or self._worlds.casts != casts:

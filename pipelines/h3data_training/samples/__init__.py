@@ -1,4 +1,4 @@
-"""Training samples from datasets, for PyTorch's loaders."""
+"""Training samples from datasets, for PyTorch's data loaders."""
 
 from h3data_training.samples.windows import WindowDataset
 

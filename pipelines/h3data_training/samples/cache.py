@@ -1,9 +1,9 @@
-"""Columns of a dataset as memory-mapped Arrow files, for training that reads the same episodes in random order many times.
+"""Cache of a dataset's columns as memory-mapped Arrow files, for training that reads in random order.
 
 A Parquet row group is decoded as a whole; a mapped file returns any row at once, and all workers share its pages. One file
-holds some columns of one shard, an uncompressed record batch for each row group. The cache lies in ``$H3DATA_CACHE/arrow``
-or ``~/.cache/h3data/arrow`` (`h3data.files.cache_folder`). It keeps the most recently used files up to ``H3DATA_CACHE_GB``
-gigabytes (default 20) and may be deleted at any time.
+holds some columns of one shard, an uncompressed record batch for each row group. The cache is in
+``$H3DATA_CACHE/arrow`` or ``~/.cache/h3data/arrow`` (`h3data.files.cache_folder`). It keeps the most recently used
+files up to ``H3DATA_CACHE_GB`` gigabytes (default 20) and may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ FORMAT = 1
 
 
 def open_cached(dataset: DatasetFolder, shard: int, columns: Sequence[str]) -> pa.ipc.RecordBatchFileReader | None:
-    """Return the mapped columns of a shard, batch k for row group k; written now if the cache does not have them.
+    """Return the mapped columns of a shard, with batch k for row group k, and write them if the cache lacks them.
 
-    None if there is no cache (``H3DATA_CACHE=off``) or it cannot be written.
+    Returns None if there is no cache (``H3DATA_CACHE=off``) or it cannot be written.
     """
     folder = cache_folder("arrow")
     if folder is None:

@@ -1,4 +1,4 @@
-"""Training samples from a dataset: windows of steps that never cross the boundary of an episode."""
+"""Windows of consecutive steps from a dataset as training samples, which never cross the boundary of an episode."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _OWN_KEYS = ("valid", "episode", "step")
 
 
 class WindowDataset:
-    """A map-style dataset for `torch.utils.data.DataLoader`: window ``k`` is a dict of tensors.
+    """Map-style dataset for `torch.utils.data.DataLoader`, in which window ``k`` is a dict of tensors.
 
     The window of step t holds the rows t - history + 1 ... t + horizon of one episode:
 
     * each column as [history + horizon, *declared shape], a copy in the column's dtype;
-    * ``valid`` bool [history + horizon]: False where ``border="pad"`` repeats the first or last row;
-    * ``episode`` and ``step``: which episode, and t.
+    * ``valid`` bool [history + horizon]: False for rows in which ``border="pad"`` repeats the first or last row;
+    * ``episode`` and ``step``: number of the episode, and t.
 
-    ``border="drop"`` leaves out windows that reach beyond their episode; ``"pad"`` has one for every ``stride``-th step.
-    Windows always come in the same order, by episode and step; shuffling is the loader's task.
+    ``border="drop"`` leaves out windows that reach beyond their episode; ``"pad"`` gives a window for every
+    ``stride``-th step. Windows always come in the same order, by episode and step; shuffling is the loader's task.
 
-    Reads ``columns`` from the row group of one episode at a time and keeps the most recent ones, up to ``cache_bytes`` in
-    each worker. For shuffled windows of a larger dataset, ``disk_cache`` keeps the columns in memory-mapped files
-    (`h3data_training.samples.cache`) that all workers share. Workers may be forked or spawned; spawn them if the dataset
-    is in an object store.
+    The dataset reads ``columns`` from the row group of one episode at a time and caches the most recent ones, up to
+    ``cache_bytes`` in each worker. For shuffled windows of a larger dataset, ``disk_cache`` keeps the columns in
+    memory-mapped files (`h3data_training.samples.cache`) that all workers share. Workers may be forked or spawned;
+    spawn them if the dataset is in an object store.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class WindowDataset:
         cache_bytes: int = CACHE_BYTES,
         disk_cache: bool = False,
     ) -> None:
-        """Windows over ``episodes`` (default: all that are committed now).
+        """Create windows over ``episodes`` (default: all episodes that are committed now).
 
         Raises:
             InputError: there is no such column or episode, or a length or stride is out of range.
@@ -86,7 +86,7 @@ class WindowDataset:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Window ``index``; negative indices count from the end."""
+        """Return window ``index``; negative indices count from the end."""
         import torch
 
         if not -len(self) <= index < len(self):

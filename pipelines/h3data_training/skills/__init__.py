@@ -1,1 +1,1 @@
-"""Training of the skills of a robot: nav, pick and place."""
+"""Training of a robot's skills nav, pick and place."""

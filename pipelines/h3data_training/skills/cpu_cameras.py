@@ -1,4 +1,4 @@
-"""Pictures of the worlds of a skill on a machine without a GPU, for tests and trials."""
+"""Pictures of the worlds of a skill on a machine without a GPU, for tests and small experiments."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CpuSkillCameras:
         self._drawn: dict[int, StateRenderer] = {}
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """Render all worlds, as `h3data_training.torch.skills.cameras.SkillCameras.observe` on the CPU."""
+        """Render all worlds on the CPU, with the interface of `SkillCameras.observe`."""
         sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
         return stacked(sensor, (self._posed(play, w, episode) for w, episode in enumerate(play.episode.tolist())))
 

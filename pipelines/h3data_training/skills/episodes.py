@@ -29,22 +29,22 @@ from sim_kinematic.tasks.sources import Home
 
 FILE_FORMAT = "h3data.skill_starts/1"
 DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot", "human")
-"""Settings that, besides the seed, determine starts."""
+"""Settings that, together with the seed, determine starts."""
 
 
 def make_skill_bank(
     settings: SkillSettings, *, seed: int, workers: int | None = None, file: Path | None = None
 ) -> SkillBank:
-    """Make the starts of a run, from the same number of episodes of rearrangement in each home.
+    """Sample the starts of a run from the same number of rearrangement episodes in each home.
 
     Call it before CUDA is initialised, since the processes are forked.
 
     Args:
         settings: homes, bodies and numbers.
-        seed: starts follow from it and from the number of their home.
+        seed: seed that, with the number of their home, determines the starts.
         workers: number of processes; None is one for each core, 1 uses this process.
-        file: file of starts. It is read if it holds those of these settings, so that only the homes are made; otherwise it
-            is written.
+        file: file of starts. It is read if it has the same settings, so that only the homes are built; otherwise it is
+            written.
 
     Raises:
         InputError: there are no such homes.

@@ -1,4 +1,4 @@
-"""Settings of a training run of a skill; recipes are settings with names."""
+"""Settings of a training run of a skill, and recipes, which are named settings."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
 GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
-"""Command of the hand around which an actor explores at first. A hand that opens at random never experiences what
-follows: around 1, robots learned not to take anything, since they dropped it again."""
+"""Command of the hand around which an actor explores at first. A hand that opens at random never experiences the steps
+that follow. With 1, robots learned not to take anything, because they dropped it again.
+"""
 UNTAUGHT_GRIP = 1.0
-"""Command of the hand around which place without a teacher explores: around 1.6, noise of 0.4 opens it once in 30,000
-decisions, so nothing is placed."""
+"""Command of the hand around which the skill place explores without a teacher. With 1.6, noise of 0.4 would open the
+hand once in 30,000 decisions, so that nothing would be placed.
+"""
 UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
 """Settings of social navigation that have no meaning for skills."""
 
 
 def check_skill(skill: str) -> Skill:
-    """Return the name of a skill.
+    """Return the name of a skill after checking that it exists.
 
     Raises:
         InputError: There is no such skill.
@@ -41,24 +43,29 @@ class SkillSettings(Settings):
 
     skill: Skill = "nav"
     episodes_per_home: int = 3
-    """Number of episodes of rearrangement per home; each has several objects and goals as targets."""
+    """Number of rearrangement episodes per home; each has several objects and goals as targets."""
     starts: int = 32
     """Number of starts of the robot in each episode."""
     path_m: tuple[float, float] = (0.0, 1000.0)
-    """Least and greatest length of the path to the target at the start [m]. Paths shorter than in the evaluation of the
-    skill let it learn the end first."""
+    """Smallest and largest length of the path to the target at the start [m]. With paths shorter than in the
+    evaluation, a robot learns the end of the skill first.
+    """
     near_share: float = 0.0
-    """Share of starts within a metre of the place from which the target is reached. From elsewhere a robot seldom
-    experiences what follows."""
+    """Share of starts within a metre of the place from which the target is reached. From other starts a robot seldom
+    experiences the end of the skill.
+    """
     reaching_share: float = 0.0
-    """Share of starts at the place from which the target is reached, with the arm between rest and the target. A robot
-    without a teacher experiences the end of the skill first."""
+    """Share of starts at the place from which the target is reached, with the arm between rest and the target. With
+    such starts, a robot without a teacher experiences the end of the skill first.
+    """
     demonstrations: float = 0.0
-    """Share of worlds in which the teacher acts as long as it has a weight. The policy imitates it there too, and so
-    observes states that it does not reach itself."""
+    """Share of worlds in which the teacher acts as long as it has a weight. The policy imitates the teacher there too,
+    and so observes states that it would not reach by itself.
+    """
     limit: int = 300
-    """Number of steps after which an episode is cut short, as if its time were over: what a stuck robot does teaches
-    little."""
+    """Number of steps after which an episode is cut short, as if it had reached its time limit, because little is
+    learned from a robot that is stuck.
+    """
     observations: tuple[str, ...] = OF_THE_BASE
     near_m: float = 0.0
 
@@ -86,7 +93,7 @@ class SkillSettings(Settings):
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Names of the pictures that the policy observes: the depth of the arm's camera."""
+        """Names of the pictures that the policy observes, which is the depth of the arm's camera."""
         return ("arm_depth",)
 
     @property
@@ -101,7 +108,7 @@ class SkillSettings(Settings):
 
     @property
     def first_action(self) -> tuple[float, ...]:
-        """Action before the first decision of an episode: no motion, and the grip that the skill begins with."""
+        """Action before the first decision of an episode: no motion, and the initial grip of the skill."""
         still = (0.0,) * BASE_ACTIONS
         return (
             still
@@ -114,7 +121,7 @@ class SkillSettings(Settings):
         return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
-        """Return the second stage of social navigation without the teacher, which the actor no longer needs."""
+        """Return the settings of the second stage without the teacher, which a trained actor does not need."""
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
@@ -170,13 +177,14 @@ RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     },
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
 }
-"""Recipes by name. ``fast``: one GPU, minutes, pictures of 64 x 48 and the observations of the paper's robot; only
-critic and teacher observe the map. ``tiny``: one CPU core, and no pictures: the robot observes its target and the
-beginning of the path to it."""
+"""Recipes by name. ``fast`` takes minutes on one GPU, with pictures of 64 x 48 pixels and the observations of the
+paper's robot; only critic and teacher observe the map. ``tiny`` uses one CPU core and no pictures; the robot observes
+its target and the start of the path to it.
+"""
 
 
 def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
-    """Return a recipe for a skill with some settings changed; None changes nothing.
+    """Return a recipe for a skill with some settings changed; None leaves a setting unchanged.
 
     Raises:
         InputError: there is no such recipe or skill, or a value is out of range.

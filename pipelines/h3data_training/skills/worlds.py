@@ -1,6 +1,6 @@
 """Batched worlds of a skill for training.
 
-An action is repeated for some steps and pictures are taken after the last, all in one CUDA graph.
+An action is repeated for several steps, and pictures are rendered after the last, all in one CUDA graph.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding
 
 
 class ActionRepeatSkills(ActionRepeat):
-    """`SkillTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`."""
+    """`SkillTensors` in which an action is repeated for ``hold`` steps, as `h3data_training.ppo.Worlds` for skills."""
 
     counts = COUNTS
 
@@ -41,7 +41,7 @@ class ActionRepeatSkills(ActionRepeat):
         hold: int | None = None,
         count: int | None = None,
     ) -> None:
-        """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
+        """Create ``count`` worlds (default: the number in the settings), a share of those of several processes."""
         super().__init__(hold or settings.hold, count or settings.worlds, device)
         self.limit, self._by_sight = settings.limit, "way" not in settings.observations
         starts = bank.with_near(settings.near_share)
@@ -74,7 +74,7 @@ class ActionRepeatSkills(ActionRepeat):
         return CpuSkillCameras(self.sim, size=size)
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Begin an episode in all worlds, each at the place in the bank that follows from its seed."""
+        """Start an episode in all worlds, each at the position in the bank that depends on its seed."""
         with torch.no_grad():
             self._begin(seed)
             hold, self.hold = self.hold, 1
@@ -114,12 +114,12 @@ class ActionRepeatSkills(ActionRepeat):
         ]
 
     def taught(self) -> Tensor:
-        """Return the actions of the scripted teacher in these states, [W, A]."""
+        """Return the actions of the scripted teacher in the current states, [W, A]."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return the columns of the learning curve that follow from the totals by name."""
+        """Return columns of the learning curve that are computed from the totals, by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps,

@@ -1,1 +1,1 @@
-"""Social navigation by tensors, on a CPU or a GPU."""
+"""Tasks and skills in many worlds as tensors, on a CPU or a GPU."""

@@ -1,4 +1,4 @@
-"""Pictures of W robots and people, without leaving the GPU: state -> frames of links and joints -> skin -> pictures."""
+"""Pictures of W robots and people on the GPU, computed from states by frames of links and joints and by skinning."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ if TYPE_CHECKING:
     from h3data_light.bake import LitScene
 
 HUMAN = "human"
-"""The view between a person's eyes; others have the names of the robot's cameras."""
+"""Name of the view between a person's eyes; other views have the names of the robot's cameras."""
 NEAREST_M = 0.9
-"""Distance below which people are seldom from a camera [m], as a robot that follows keeps more. One mesh has to do for all
-worlds."""
+"""Distance from a camera below which people seldom are [m], because a robot that follows them keeps a larger distance.
+It selects the one mesh that is used in all worlds.
+"""
 
 
 class TensorCameras:
-    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in the two places."""
+    """Homes with a resting robot and a walking person, in W worlds with different homes and agent positions."""
 
     def __init__(
         self,
@@ -62,21 +63,21 @@ class TensorCameras:
         """Copy the meshes of homes and agents to the GPU.
 
         Args:
-            scenes: home that all worlds share, or those that `observe` chooses from.
+            scenes: home that all worlds share, or homes from which `observe` selects.
             robot: body of the robot, which keeps its resting posture.
-            human: body of the person, rendered with the full mesh or, where pictures are so small that there is no visible
-                difference from `NEAREST_M` on, with the mesh of low detail.
+            human: body of the person, rendered with the full mesh or, for pictures so small that there is no visible
+                difference at distances above `NEAREST_M`, with the mesh of low detail.
             walker: gait of the person, which selects the motion clips.
             worlds: number of worlds W.
             floor_y: height of the floor [m].
             views: cameras in every world: those of the robot (``robot_arm_rgb`` is ``robot_arm`` if it has no other), and
                 `HUMAN`.
-            size: width and height of all pictures [px]; None is that of the first of the robot's cameras.
+            size: width and height of all pictures [px]; None for the size of the robot's first camera.
             hfov_deg: horizontal field of view of the robot's cameras, instead of their own.
             light: light in colours: that of each home, which is baked for a home that is lit for the first time, or ``flat``.
             device: the GPU.
             compile: whether one kernel computes the frames of links and joints (`h3data_training.torch.graph.fused`).
-            renderer: makes the renderer; by default `GpuRenderer`.
+            renderer: function that creates the renderer; by default `GpuRenderer`.
 
         Raises:
             InputError: there is no GPU or no such camera, or no light reaches one of the homes.
@@ -140,14 +141,14 @@ class TensorCameras:
         *,
         place: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Return the `picture` of all views after `pose`, each [views, W, H, W', ...]."""
+        """Set poses, and return pictures of all views, each [views, W, H, W', ...], by output."""
         self.pose(robot, human, place=place)
         return self._taken(self.views, outputs)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Move the robot and the person of all worlds to their present places.
+        """Set the current poses of the robot and the person in all worlds.
 
-        ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
+        ``place`` is the number of the home that each world is in, [W]; None leaves it unchanged.
         """
         if place is not None:  # the kernels read it from the device in every launch, a replayed graph's included
             self.renderer._held["scene_of_world"].copy_(place)
@@ -161,7 +162,7 @@ class TensorCameras:
         self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Return pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device.
+        """Render a view in all worlds with the last poses, as images [W, H, W', ...] on the device by output.
 
         Depths are in metres.
         """
@@ -206,7 +207,7 @@ def _stages(
 def lit_home(
     scene: Scene, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], static: Sequence[int]
 ) -> LitScene:
-    """Return a home in its baked light, which is the same, and in the same cache, as that of pictures by the CPU."""
+    """Return a home in its baked light, which is the same as on the CPU and in the same cache."""
     there = {i.name: recorded_matrix(i) for i in scene.instances}
     placed = list(instances)
     for k in static:
@@ -215,10 +216,10 @@ def lit_home(
 
 
 def light_of_all(homes: Sequence[Scene], lamps: Sequence[LitScene | None]) -> Light | None:
-    """Return the light that a renderer of all homes has.
+    """Return the light of a renderer of several homes.
 
     Raises:
-        InputError: some homes are lit, and others are not.
+        InputError: some homes have baked light, and others do not.
     """
     dark = [home.name for home, lit in zip(homes, lamps, strict=True) if lit is not None and not lit.baked]
     if dark and len(dark) < len(homes):
@@ -244,10 +245,10 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
 
 
 def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
-    """Return the world matrices [W, N, 3, 4] of frames in agents.
+    """Return the world matrices [W, N, 3, 4] of frames that are given in agent root frames.
 
     Frames are [N, 3, 4] or [W, N, 3, 4], agents at [W, 2] with headings [W], and floors of one height or of one for
-    each world [W]. No matrix product is used, which a GPU might compute with 10 bits.
+    each world [W]. No matrix product is used, because a GPU might compute it with a precision of 10 bits.
     """
     c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
     x, y, z = frames.unbind(-2)

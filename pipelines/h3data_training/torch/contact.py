@@ -1,8 +1,8 @@
-"""Contacts of the resting robot with the walking person, by tensors alone: the person as balls in the robot's distance field.
+"""Contacts of the resting robot with the walking person, as balls in the robot's distance field, by tensors.
 
-`sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
-where the two are
-within `TOLERANCE_M` of touching (tests/training/torch/test_social_nav.py), and where arms are drawn in: here they always swing.
+`sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the reference. This module differs from
+it only if the distance is within `TOLERANCE_M` of contact (tests/training/torch/test_social_nav.py), and if arms are
+pulled in, because here they always swing.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ from sim_kinematic.motion.spec import PersonContact, WalkerSpec
 
 TOLERANCE_M = 0.004
 CELL_M = 0.02
-"""Side of a cell of the robot's distance field."""
+"""Side of a cell of the robot's distance field [m]."""
 SCALLOP_M = 0.003
 """Depth of the notches between balls [m]: a row of balls may be this much thinner than the capsule that it replaces."""
 BONE_TOLERANCE_M = 0.007
-"""Tolerance like `TOLERANCE_M` for boxes of bones, whose corners stand 4 mm out of the balls at their ends [m]."""
+"""Tolerance of the distance for boxes of bones, whose corners protrude 4 mm from the balls at their ends [m]."""
 BONE_RADIUS_M, BONE_END_M = 0.0125, 0.0085
-"""Radius of the balls of a box of 2 x 2 cm, which is between the radii of the circles in and around its section, and how far
-before the ends of the box the last balls are."""
+"""Radius of the balls that replace a box of 2 x 2 cm, which is between the radii of its section's incircle and
+circumcircle, and distance of the last balls from the ends of the box [m].
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TouchTest:
-    """The robot's field and the person's balls on a device."""
+    """Contact test on a device, with the robot's distance field and the person's balls."""
 
     field: Tensor
     """Coefficients of the trilinear distance in each cube between eight cell centres, [cubes, 8] [m]."""
     low: Tensor
     """Position of the first cell centre in the frame of the robot's base, [3] [m]."""
     last: Tensor
-    """Number of cubes less one along each axis, [3]."""
+    """Number of cubes minus one along each axis, [3]."""
     strides: tuple[int, int]
     balls: Tensor
-    """Centres of the balls in the frame of the root, a row for each posture, [rows, S, 3] [m]."""
+    """Centres of the balls in the frame of the root, one row for each posture, [rows, S, 3] [m]."""
     radii: Tensor
     """Radii of the balls [S] [m]."""
     cycle: WalkingCycle
@@ -95,11 +96,11 @@ class TouchTest:
         )
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Return whether they touch, bool [W]."""
+        """Return whether robot and person touch, bool [W]."""
         return self.gap(robot, human) <= 0.0
 
     def gap(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Return the gap between them [W] [m], exact where it is less than 4 cm; negative: they overlap."""
+        """Return the gap between robot and person [W] [m], exact below 4 cm and negative if they overlap."""
         gap = human.xz - robot.xz
         ahead = heading_direction(robot.heading)
         turn = human.heading - robot.heading

@@ -1,4 +1,4 @@
-"""Table of the person's walking cycle on a device: parts fixed to the body, by phase and blend."""
+"""Table of the person's walking cycle on a device, with frames of body parts by phase and blend."""
 
 from __future__ import annotations
 
@@ -15,34 +15,35 @@ from h3data_training.torch.state import HumanTensors
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 
 PHASES = 128
-"""Number of parts of the cycle. Within each, motion is straight. From one to the next it may jump: while the person
-sets off or stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
+"""Number of parts of the cycle. Within a part, motion is linear. Between parts it may jump: while the person starts or
+stops walking, the posture jumps when a foot comes down (`h3data.bodies.people.kernels.legs.settle`).
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkingCycle:
-    """Clip of a walking person as tables, with a row for both ends of each part of the cycle, by blend."""
+    """Clip of a walking person as tables, with a row for both ends of each part of the cycle and for each blend."""
 
     human: Humanoid
     clip: int
     blends: int
-    """Number of blends in the tables, for the phases of setting off and stopping."""
+    """Number of blends in the tables, for the phases of starting and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:
-        """Return the clip for the walker's speed."""
+        """Return the walking cycle for the walker's speed."""
         clip = human.clip_for_speed(walker.speed_mps)
         return cls(human=human, clip=clip, blends=math.ceil(walker.blend_s / STEP_S - 1e-9) + 1)
 
     def joint_matrices(self) -> Array:
-        """Return frames of the joints in the frame of the root, one row of a table each: [PHASES * 2 * blends, 55, 4, 4]."""
+        """Return frames of joints in the frame of the root for each row of a table, [PHASES * 2 * blends, 55, 4, 4]."""
         ends = (np.arange(PHASES)[:, None] + (0.0, 1.0 - 1e-9)).ravel() / PHASES
         phase, blend = (g.ravel() for g in np.meshgrid(ends, np.linspace(0, 1, self.blends), indexing="ij"))
         posture = self.human.clip_pose(np.full(phase.size, self.clip), phase, blend)
         return self.human.joint_matrices(np.tile(IDENTITY_POSE, (phase.size, 1)), *posture)
 
     def look_up(self, table: Tensor, person: HumanTensors) -> Tensor:
-        """Look up a table [PHASES * 2 * blends, ...] for people: [W, ...], bilinear in phase and blend."""
+        """Look up a table [PHASES * 2 * blends, ...] for people, as [W, ...], bilinear in phase and blend."""
         clip = self.human.clips[self.clip]
         phase = (person.distance - person.set_off) / clip.stride_m + clip.start_phase
         part = (phase - phase.floor()) * PHASES

@@ -29,13 +29,13 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeBank:
-    """Bank of N episodes: starts, and all waypoints that the person can reach in the time available."""
+    """Bank of N episodes, with starts and all waypoints that the person can reach in the available time."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the scenes."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
-    """Number of the scene, [N]."""
+    """Number of the scene of each episode, [N]."""
     robot_xz: NDArray[np.float64]
     """Starts of the robot [N, 2] [m]."""
     robot_heading: NDArray[np.float64]
@@ -43,8 +43,9 @@ class EpisodeBank:
     human_xz: NDArray[np.float64]
     human_heading: NDArray[np.float64]
     way_points: NDArray[np.float64]
-    """Waypoints of the person, [N, P, 2] [m]; the last one fills shorter rows. For people with strides, their places
-    after each step, with ``headings`` [N, P] [rad]."""
+    """Waypoints of the person, [N, P, 2] [m]; the last one fills shorter rows. For people with strides, these are their
+    positions after each step, with ``headings`` [N, P] [rad].
+    """
     headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
     """Seeds of the episodes, as in recordings, [N]."""
@@ -63,13 +64,13 @@ class EpisodeBank:
         robot: str = "quad_arm",
         human: str = "female_0",
     ) -> EpisodeBank:
-        """Return the first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
+        """Sample the first ``count`` episodes of the run ``seed``, which environments with this seed also play.
 
-        ``task`` is social navigation by default, and ``spec`` its rules.
+        ``task`` is social navigation by default, and ``spec`` are its rules.
 
         Raises:
             InputError: as for `EpisodeSource`, or the task does not have exactly one robot and one person.
-            SceneError: a scene has no two starts as far apart as the rules say.
+            SceneError: a scene has no two starts at the distance that the rules require.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
             raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
@@ -111,7 +112,7 @@ class EpisodeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[EpisodeBank]) -> EpisodeBank:
-        """Return the episodes of several banks, one after the other."""
+        """Return the concatenated episodes of several banks."""
         longest = max(bank.way_points.shape[1] for bank in banks)
         first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
 

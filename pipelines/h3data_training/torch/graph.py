@@ -1,4 +1,4 @@
-"""Compilation of steps into few kernels and CUDA graphs."""
+"""Compilation of steps into few kernels and into CUDA graphs."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ R = TypeVar("R")
 
 
 def fused(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function of tensors, which has no branches, into a few kernels (`torch.compile`).
+    """Compile a function of tensors without branches into a few kernels (`torch.compile`).
 
-    The first call compiles, which takes some 20 s, or a few where the files of the last time are still there. Products and
-    sums may be contracted: the last bits differ from those of ``function``.
+    The first call compiles, which takes about 20 s, or a few seconds if compiled files exist. Products and sums may be
+    contracted, so that the last bits differ from those of ``function``.
     """
 
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -41,7 +41,7 @@ def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
 def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor], *, rows: int) -> None:
     """Copy values [W, ...] into row ``row`` [1] of the buffers ``kept`` [rows, W, ...].
 
-    A buffer is created when it is first needed, which must not be while a graph is captured.
+    A buffer is created when it is first needed, which must not happen while a graph is captured.
     """
     for name, value in values.items():
         if name not in kept:
@@ -50,7 +50,7 @@ def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor],
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:
-    """Capture ``step`` as a CUDA graph, which reads and writes the same tensors each time.
+    """Return ``step`` captured as a CUDA graph, which reads and writes the same tensors at each call.
 
     The tensors in ``kept`` are restored after the trial runs.
     """

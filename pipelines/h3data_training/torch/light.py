@@ -1,6 +1,6 @@
-"""Light on robots and people in W lit homes, and the soft shadows that they cast, without leaving the device.
+"""Light on robots and people in W homes with baked light, and the soft shadows that they cast, on the device.
 
-The same as `h3data.replay.shadow_casters.ShadowCasters` in the field of light of each world's home
+It equals that of `h3data.replay.shadow_casters.ShadowCasters` in the light field of each world's home
 (`h3data_light.field.LightField`), for one robot and one person.
 """
 
@@ -25,17 +25,18 @@ if TYPE_CHECKING:
     from h3data_light.bake import LitScene
 
 STATIC, ROBOT, PERSON = -1, 0, 1
-"""Groups of instances: what stands still, and agents, which do not darken themselves."""
+"""Groups of instances: static instances, the robot, and the person; agents do not darken themselves."""
 
 
 class AgentLight:
-    """Light on a robot and a person in W worlds, each in one of several homes that are lit."""
+    """Light on a robot and a person in W worlds, each in one of several homes with baked light."""
 
     def __init__(self, homes: Sequence[LitScene], robot: Robot, human: Humanoid, *, device: torch.device | str) -> None:
         """Copy the fields of light to the device.
 
         Args:
-            homes: Lit homes, whose last instances are the links of the robot that have a mesh, and the person.
+            homes: Homes with baked light, whose last instances are the links of the robot that have a mesh, and the
+                person.
             robot: Body of the robot.
             human: Body of the person.
             device: Device of all tensors.
@@ -83,13 +84,7 @@ class AgentLight:
         self._corners = on_device(np.array(list(np.ndindex(2, 2, 2))), torch.int64)
 
     def cast(self, links: Tensor, joints: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the words of all capsules [W, N, 21] and the tints of all instances [W, I, 4], as of `Blockers`.
-
-        Args:
-            links: World matrices of the links of the robot that have a mesh, [W, L, 3, 4].
-            joints: World matrices of the joints of the person, [W, 55, 3, 4].
-            place: Number of the home of each world, [W].
-        """
+        """Return the rows of all capsules [W, N, 21] and the tints of all instances [W, I, 4], as in `Blockers`."""
         frames = torch.cat([links[:, self._links], joints[:, self._joints]], 1)
         # no matrix products, which a GPU might compute with 10 bits
         ends = (frames[:, :, None, :, :3] * self._ends[..., None, :]).sum(-1) + frames[:, :, None, :, 3]
@@ -134,7 +129,7 @@ class AgentLight:
 
 
 def directed(cubes: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the direction [..., 3] and share [...] of most of the light from six sides [..., 6, 3], as `LightField.at`."""
+    """Return direction [..., 3] and share [...] of the strongest light from six sides [..., 6, 3] (`LightField.at`)."""
     bright = cubes.mean(-1)
     vector = bright[..., 1::2] - bright[..., 0::2]
     length, everywhere = vector.square().sum(-1).sqrt(), bright.sum(-1) / 1.5

@@ -19,14 +19,14 @@ _ROUNDS = 10
 
 
 def keys(seeds: Sequence[int], stream: str, *, device: torch.device | str, world: int = 0) -> Tensor:
-    """Return keys int64 [W, 2] of the generators of ``seeds`` [W] for one purpose (``stream``) of one world."""
+    """Return the keys int64 [W, 2] of the generators of ``seeds`` [W] for one purpose (``stream``) in each world."""
     digest = hashlib.blake2b(f"{stream}/{world}".encode(), digest_size=8).digest()
     second = _signed(int.from_bytes(digest, "little"))
     return torch.tensor([[_signed(seed), second] for seed in seeds], dtype=torch.int64, device=device).reshape(-1, 2)
 
 
 def random(key: Tensor, step: Tensor, count: int) -> Tensor:
-    """Return the first ``count`` numbers in [0, 1) of the generators of ``key`` [W, 2] at ``step`` [W], float64 [W, count]."""
+    """Return ``count`` random numbers in [0, 1) of generators with keys [W, 2] at ``step`` [W], [W, count]."""
     return ((bits(key, step, count) >> 11) & (2**53 - 1)).double() * 2.0**-53
 
 

@@ -1,4 +1,4 @@
-"""Rules of tasks that a device supports. Other rules are refused by name: no rule is silently ignored."""
+"""Rules of tasks that a device supports; other rules are refused by name, so that no rule is silently ignored."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Held(NamedTuple):
     """Rules of a task that a device supports."""
 
     like: Any
-    """Rules that a device supports; other rules may differ from them only in the fields below."""
+    """Rules that a device supports; other rules may differ from them only in the fields `ported` and `drawn`."""
     ported: Names
     """Fields of each spec that a device reads, including those of specs within it."""
     drawn: Names
-    """Fields that act on the CPU, where episodes are sampled, or on agents that no device has."""
+    """Fields that are used on the CPU, where episodes are sampled, or by agents that no device supports."""
 
 
 _BASE = (
@@ -114,7 +114,7 @@ HELD: Mapping[str, Held] = {
     ),
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
 }
-"""Rules that a device supports, by task and by part of a learned skill."""
+"""Supported rules, by task and by part of a learned skill."""
 _WORLD = ("solid_agents", "floor_moves")
 """Rules that the CPU's world reads of the spec of any task."""
 
@@ -140,10 +140,10 @@ def _held_with_things(rules: RearrangeSpec) -> Held:
 
 
 def refuse_others(task: str, rules: Any) -> None:
-    """Refuse rules of a task that a device does not support; for custom tasks, only those of the base class.
+    """Raise an error for rules that a device does not support; for custom tasks, check only those of the base class.
 
     Raises:
-        InputError: a field that a device does not read has another value than it has in `Held.like`.
+        InputError: a field that a device does not read differs from its value in `Held.like`.
     """
     held = HELD.get(task) or _held(rules)
     _refuse(held, rules, held.like)

@@ -1,4 +1,4 @@
-"""Observations of worlds on a device, by the rows of `sim_kinematic.sensing.table`."""
+"""Observations of worlds on a device, by the entries of `sim_kinematic.sensing.table`."""
 
 from __future__ import annotations
 
@@ -14,12 +14,18 @@ from sim_kinematic.sensing.table import TABLE, Sensor
 
 
 def read_sensors(moment: Any, names: Sequence[str], sensors: Mapping[str, Sensor] = TABLE) -> dict[str, Tensor]:
-    """Return the named sensors of a `sim_kinematic.sensing.table.Context`, which has what they need, float32 [W, n] each."""
+    """Return the named sensors of a `sim_kinematic.sensing.table.Context`, float32 [W, n] each.
+
+    The context must have the data that they need.
+    """
     return {name: sensors[name].of(moment).float() for name in names}
 
 
 def free_along(grids: Grids, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
-    """Return the distance [W, R] [m] from places [W, 2] along headings [W, R], as `h3data.scene.freespace._sdf.trace_rays`."""
+    """Return the free distance [W, R] [m] from positions [W, 2] along headings [W, R] [rad].
+
+    It equals that of `h3data.scene.freespace._sdf.trace_rays`.
+    """
     start, direction = xz, heading_direction(headings).movedim(1, 0)
     reach = headings.new_zeros(headings.shape).movedim(1, 0)
     going = reach >= 0.0

@@ -1,4 +1,4 @@
-"""Social navigation in W worlds on a device: the paper's reward of `sim_kinematic.tasks.social_nav` in `TaskTensors`."""
+"""Social navigation in W worlds on a device, with the paper's reward of `sim_kinematic.tasks.social_nav`."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from sim_kinematic.tasks.rules.rewards import PaperReward
 from sim_kinematic.tasks.social_nav import SocialNav
 
 ON_DEVICES = (*FOLLOWER, *LIDARS)
-"""Observations of the robot of social navigation in worlds on a device."""
+"""Observations of the robot that social navigation on a device supports."""
 
 
 class SocialNavTensors(TaskTensors):
     """W worlds of social navigation.
 
-    Its memory: whether the robot has ``found`` the person in this episode, the steps in which it ``followed`` them, the
-    ``geodesic`` distance [W] [m], inf where there is no path, and in which direction (x, z) that begins, ``towards`` [W, 2].
+    The memory has four entries: ``found`` (whether the robot has found the person in this episode), ``followed`` (the
+    number of steps in which it followed them), ``geodesic`` (the distance along the path [W] [m], infinite if there is
+    no path), and ``towards`` (its initial direction (x, z) [W, 2]).
     """
 
     def __init__(self, bank: EpisodeBank, **options: Any) -> None:
-        """``options`` are those of `TaskTensors`. The reward is the paper's."""
+        """Create worlds with the options of `TaskTensors` and the paper's reward."""
         super().__init__(bank, task=SocialNav(), **options)
         self.paper = PaperReward()
 
@@ -52,11 +53,11 @@ class SocialNavTensors(TaskTensors):
         return StepOutcome(reward=reward, terminated=ends, success=success), memory  # type: ignore[arg-type]
 
     def succeeded(self, play: Play) -> Tensor:
-        """Return the worlds whose robot has followed long enough, bool [W]."""
+        """Return whether the robot of each world has followed long enough, bool [W]."""
         return play.memory["followed"] >= self.paper.follow_steps
 
     def path_to_person(self, play: Play) -> ShortestPath:
-        """Return the shortest paths from robots to people, which are known."""
+        """Return the known shortest paths from robots to people."""
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:

@@ -1,6 +1,7 @@
-"""Agents of `sim_kinematic.motion.state` as tensors on a device, worlds first.
+"""Agents of `sim_kinematic.motion.state` as tensors on a device, with worlds on the first axis.
 
-The step functions of `h3data_training.torch.step` take and return them. Tensors are replaced, not changed in place.
+The step functions of `h3data_training.torch.step` take and return such states. Tensors are replaced, not changed in
+place.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ class RobotTensors(NamedTuple):
     """State of one robot in each world, without its joints; see `RobotState`."""
 
     xz: Tensor
-    """Places on the floor [W, 2] [m]."""
+    """Positions on the floor (x, z) [W, 2] [m]."""
     heading: Tensor
-    """Headings [W] [rad], never wrapped."""
+    """Headings [W] [rad], which are not wrapped."""
     contact: Tensor
     """True if the base touches something, bool [W]."""
 
     @classmethod
     def of(cls, state: RobotState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """Return the robots on a device."""
+        """Return robots copied to a device."""
         xz, heading = _on_device([state.xz, state.heading], device, dtype)
         return cls(xz, heading, torch.tensor(state.contact, device=device))
 
@@ -40,7 +41,7 @@ class RobotTensors(NamedTuple):
 class HumanTensors(NamedTuple):
     """State of one person in each world.
 
-    The fields are those of `HumanState`, but arms, which always swing here, seats and hands.
+    The fields are those of `HumanState` without arms, which always swing here, seats and hands.
     """
 
     xz: Tensor
@@ -51,7 +52,7 @@ class HumanTensors(NamedTuple):
 
     @classmethod
     def of(cls, state: HumanState, device: torch.device | str, dtype: torch.dtype) -> Self:
-        """Return the people on a device."""
+        """Return people copied to a device."""
         return cls(*_on_device([getattr(state, name) for name in cls._fields], device, dtype))
 
     def put(self, state: HumanState) -> None:
@@ -65,11 +66,11 @@ def _on_device(arrays: list[np.ndarray], device: torch.device | str, dtype: torc
 
 
 def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """Return ``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    """Return ``a`` in the worlds where ``flag`` [W] is True, and ``b`` in the others, both [W, ...]."""
     return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
 def tensors_of(parts: Iterable[Any]) -> Iterator[Tensor]:
-    """Return the tensors among the parts of a state and in their tuples and mappings, in a fixed order."""
+    """Return the tensors among the fields of a state and in their tuples and mappings, in a fixed order."""
     for part in parts:
         yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)

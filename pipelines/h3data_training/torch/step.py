@@ -1,10 +1,12 @@
-"""Step of motion for W worlds as tensor operations, on the CPU or a GPU: `sim_kinematic.motion.step`, line by line.
+"""Step of motion in W worlds as tensor operations on the CPU or a GPU, equivalent to `sim_kinematic.motion.step`.
 
-The numba kernels there are the definition; here branches are `torch.where`, loops have a fixed length, and nothing waits for
-the device, so a step can be captured in a CUDA graph. The two agree to 1e-5 m over 1,000 steps in float64
-(tests/training/torch/test_step.py). A graph pays for every operation, so what two branches need is computed together.
+The numba kernels of that module are the reference. Here, branches are `torch.where`, loops have a fixed length, and no
+operation waits for the device, so that a step can be captured in a CUDA graph. The two agree to 1e-5 m over 1,000 steps
+in float64 (tests/training/torch/test_step.py). Each operation of a graph takes time, so values that two branches need
+are computed together.
 
-Points on the floor are [..., W, 2]: what a world has several of comes before its axis. Only ``strict`` sliding is here.
+Points on the floor are [..., W, 2], so that several points of a world are on axes before that of the worlds. Only
+``strict`` sliding is supported.
 """
 
 from __future__ import annotations
@@ -27,12 +29,13 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 FLAT = 1e-9
-"""Length of a gradient of the distance below which it gives no direction [m per cell]: it is divided by this value, not
-by its length."""
+"""Length of a distance gradient below which it gives no direction [m per cell]; shorter gradients are divided by this
+value instead of their length.
+"""
 
 
 class Floor(Protocol):
-    """The parts of a `h3data.scene.FreeSpace` that motion on a device reads."""
+    """Protocol of the parts of a `h3data.scene.FreeSpace` that motion on a device reads."""
 
     @property
     def sdf(self) -> NDArray[np.float32]:
@@ -54,7 +57,7 @@ def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
     """Check that floors have no stairs, which devices do not support.
 
     Raises:
-        InputError: a floor has stairs; the message says to leave the ``home`` out.
+        InputError: a floor has stairs; the message advises to leave out the ``home``.
     """
     if any(len(floor.heights) for floor in floors):
         raise InputError(
@@ -77,7 +80,7 @@ class Grids:
     """Offset of the cells [R, 2], with ``scale`` [R, 1]: a point p is at ``shift + scale p`` in cells."""
     scale: Tensor
     top: Tensor
-    """Largest position on the grid in cells, [R, 2]; ``last`` [R, 2] is the last square that begins before it."""
+    """Largest position on the grid in cells, [R, 2]; ``last`` [R, 2] is the last square that starts before it."""
     last: Tensor
     stride: Tensor
     """Number of squares per row, [R]."""
@@ -89,7 +92,7 @@ class Grids:
 
     @classmethod
     def of(cls, floors: Sequence[Floor], device: torch.device | str, dtype: torch.dtype) -> Grids:
-        """Return the grids of these floors on a device."""
+        """Return the grids of floors on a device."""
         tables = [_coefficients(np.asarray(f.sdf, np.float64)) for f in floors]
         sizes = np.array([f.sdf.shape for f in floors], np.float64)
         cell = np.array([f.cell_m for f in floors])
@@ -111,7 +114,7 @@ class Grids:
         )
 
     def at(self, place: Tensor) -> Grids:
-        """Return the grid of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
+        """Return the grid of each world by the numbers of the floors [W]; if there is one floor, all worlds use it."""
         if len(self.cell) == 1:
             return self
         rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
@@ -124,7 +127,7 @@ def _coefficients(sdf: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class Sample(NamedTuple):
-    """The distance [...] [m] at points [..., 2] and its gradient [..., 2] in metres per cell."""
+    """Sample of a distance grid at points [..., 2]: the distance [...] [m] and its gradient [..., 2] [m per cell]."""
 
     distance: Tensor
     slope: Tensor
@@ -133,7 +136,8 @@ class Sample(NamedTuple):
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
     """Return the signed distance and its gradient at points, bilinear.
 
-    Outside of the grid it is the value at the border minus the distance to it (`h3data.scene.freespace._sdf`).
+    Outside of the grid, the distance is the value at the border minus the distance to the border
+    (`h3data.scene.freespace._sdf`).
     """
     f = torch.addcmul(grids.shift, grids.scale, xz)
     c = torch.clamp(f, grids.zero, grids.top)
@@ -147,12 +151,12 @@ def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """Return the angle in [-pi, pi)."""
+    """Return an angle wrapped to [-pi, pi) [rad]."""
     return torch.sub(angle, torch.floor(angle / (2.0 * math.pi) + 0.5), alpha=2.0 * math.pi)
 
 
 def heading_direction(heading: Tensor) -> Tensor:
-    """Return the forward direction (x, z) [..., 2] of headings [...]."""
+    """Return the forward direction (x, z) [..., 2] of headings [...] [rad]."""
     return torch.stack([heading.cos(), -heading.sin()], -1)
 
 
@@ -165,7 +169,7 @@ def least_clearance(grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequen
 def push_out(
     grids: Grids, xz: Tensor, direction: Tensor, offsets: Sequence[float], radius: float, iterations: int
 ) -> Tensor:
-    """Move base positions [..., 2] until their discs, if possible, keep their radius. Free bases stay where they are."""
+    """Move base positions [..., 2] until their discs, if possible, do not overlap obstacles; free bases do not move."""
     for _ in range(iterations):
         for offset in offsets:
             distance, slope = sample_sdf(grids, torch.add(xz, direction, alpha=offset) if offset else xz)
@@ -176,7 +180,7 @@ def push_out(
 
 
 def integrate(xz: Tensor, direction: Tensor, speed: Tensor, lateral: Tensor | None, dt: float) -> Tensor:
-    """Return the free motion of bases, [W, 2]: along their old axes (spec/habitat.md 0)."""
+    """Return the motion of bases without obstacles [W, 2] [m], along their axes before the step (spec/habitat.md 0)."""
     moved = torch.addcmul(xz, direction, speed[:, None], value=dt)
     if lateral is None:
         return moved
@@ -194,7 +198,7 @@ def drive_base(
     spec: BaseSpec,
     dt: float,
 ) -> RobotTensors:
-    """Move W robot bases by one strict step, all of them moving."""
+    """Move W robot bases by one step of ``strict`` sliding, all of them moving."""
     offsets, radius = spec.disc_offsets_m, spec.disc_radius_m
     limit = radius - spec.clearance_tolerance_m
     turned = torch.add(heading, turn, alpha=dt)
@@ -227,7 +231,7 @@ def drive_base(
 
 
 class Velocities(NamedTuple):
-    """Commands [W] in SI units; without ``lateral`` if the base cannot move sideways."""
+    """Velocity commands [W] in SI units; ``lateral`` is None if the base cannot move sideways."""
 
     speed: Tensor
     lateral: Tensor | None
@@ -244,9 +248,11 @@ def velocities(action: Tensor, spec: BaseSpec) -> Velocities:
 def drive_robots(
     grids: Grids, robot: RobotTensors, action: Tensor, spec: BaseSpec, *, dt: float = STEP_S
 ) -> RobotTensors:
-    """Return the robots after ``action`` [W, 2], or [W, 3] with sideways, as `sim_kinematic.motion.step.drive_robots`.
+    """Return the robots after ``action`` [W, 2 or 3] (forward, turn and sideways).
 
-    Nothing waits for the device, so nothing is refused: a number of an action that is not finite counts as 0.
+    It equals `sim_kinematic.motion.step.drive_robots`.
+
+    No operation waits for the device, so no action is refused; a component that is not finite counts as 0.
     """
     if spec.slide != "strict":
         raise InputError(
@@ -268,14 +274,14 @@ def drive_robots(
 def move_humans(
     person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
 ) -> HumanTensors:
-    """Return people [W, ...] at the places [W, 2] and headings [W] after a step."""
+    """Return people [W, ...] after a step to positions [W, 2] [m] and headings [W] [rad]."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
     return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))
 
 
 def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Return ``(distance, set_off, blend)`` [W] after a step of this length [m]: `sim_kinematic.motion.gait`'s."""
+    """Return ``(distance, set_off, blend)`` [W] after a step of some length [m] (`sim_kinematic.motion.gait`)."""
     begins = goes & (person.blend == 0.0)
     return (
         person.distance + walked,
@@ -285,9 +291,9 @@ def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) 
 
 
 def walk_humans(person: HumanTensors, goal_xz: Tensor, spec: WalkerSpec, *, dt: float = STEP_S) -> HumanTensors:
-    """Move humanoids [W, ...] one step straight towards their waypoints [W, 2].
+    """Move people [W, ...] one step straight towards their waypoints [W, 2] [m].
 
-    They turn on the spot first, and never overshoot.
+    They first turn in place, and never overshoot.
     """
     xz, heading = person.xz, person.heading
     gap = goal_xz - xz

@@ -1,9 +1,9 @@
 """Worlds of any task with one robot and one scripted person on a device, as tensor operations.
 
-State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
-episodes is one CUDA graph. The same episodes with the same actions are those of the CPU, but for what a GPU cannot
-search for: lengths of paths and where they lead are looked up (`h3data_training.torch.geodesic`, lengths mostly within
-0.1 %), contact is right to `h3data_training.torch.contact.TOLERANCE_M`; and arms always swing.
+State, actions and results stay on the device, and no operation waits for it, so that on a GPU a whole step, including
+new episodes, is one CUDA graph. The same episodes with the same actions give the same results as on the CPU, with three
+exceptions. Lengths and directions of paths are looked up (`h3data_training.torch.geodesic`, lengths mostly within
+0.1%), contact is accurate to `h3data_training.torch.contact.TOLERANCE_M`, and arms always swing.
 
 The rules are those of the task: `Task.begin`, `Task.judge` and its sensors are called with tensors, in the namespace
 ``play.xp`` or ``moment.xp``.
@@ -48,11 +48,11 @@ class Play(NamedTuple):
     episode: Tensor
     """Number of the episode in the bank, int64 [W]."""
     leg: Tensor
-    """Number of the waypoint that the person walks to, int64 [W]."""
+    """Number of the waypoint to which the person walks, int64 [W]."""
     steps: Tensor
     """Number of steps of the episode so far, int64 [W]."""
     ended: Tensor
-    """True if the episode is over, so that the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step starts another, bool [W]."""
     memory: Mapping[str, Tensor]
     """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
@@ -67,11 +67,11 @@ class Play(NamedTuple):
     terminated: Tensor
     """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
-    """True if the episode had all its steps, bool [W]."""
+    """True if the episode reached its time limit, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
-        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step starts the episodes after ``episode`` [W]."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:
@@ -103,7 +103,7 @@ class Play(NamedTuple):
 
 
 class Agents(NamedTuple):
-    """Agents of all worlds at one step; there are no objects."""
+    """Agents of all worlds at one step, without objects."""
 
     agents: tuple[Any, Any]
     """State of robots and people; each has ``xz`` and ``heading``."""
@@ -116,18 +116,18 @@ class Outlines:
     """Outlines of robot and person on the floor, as laser scanners see them."""
 
     offsets: Tensor
-    """Places of the discs of the robot's base along its axis, [D] [m]."""
+    """Positions of the discs of the robot's base along its axis, [D] [m]."""
     robot_m: float
     """Radius of the robot's discs [m]."""
     human_m: float
     """Radius of the disc of the person [m]."""
     cycle: WalkingCycle
     legs: Tensor
-    """Centres of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
+    """Centres of the person's legs in the frame of the root, as a table of the ``cycle``, [rows, 2, 2] [m]."""
 
 
 class TensorWorld(NamedTuple):
-    """The part of a `sim_kinematic.world.World` that tasks and sensors read, on a device."""
+    """Part of a `sim_kinematic.world.World` that tasks and sensors read on a device."""
 
     worlds: int
     state: Agents
@@ -144,7 +144,7 @@ class TensorWorld(NamedTuple):
     """Outlines of the agents on the floor."""
 
     def heights(self, xz: Tensor) -> Tensor:
-        """Return heights of the floor at places, [W] [m]: floors are level."""
+        """Return heights of the floor at positions, [W] [m], which are constant because floors are level."""
         del xz
         return self.floor_y
 
@@ -160,7 +160,7 @@ class TensorWorld(NamedTuple):
         return free_along(self.grids, xz, headings, max_m)
 
     def circles(self, agent: int, *, legs: bool = False) -> Tensor:
-        """Return the other agent as circles ``(x, z, radius)`` [W, N, 3] [m], as `sim_kinematic.world.World.circles`."""
+        """Return the other agent as circles ``(x, z, radius)`` [W, N, 3] [m] (`sim_kinematic.world.World.circles`)."""
         robot, human = self.state.agents
         if agent != ROBOT:
             ahead = heading_direction(robot.heading)[:, None] * self.outlines.offsets[:, None]
@@ -172,18 +172,18 @@ class TensorWorld(NamedTuple):
         return torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1)
 
     def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
-        """Transform world points [W, n, 3] into the agent root frames of agents."""
+        """Transform world points [W, n, 3] [m] into the agent root frames of given agents."""
         seen = in_base_frame(own.xz[:, None], own.heading[:, None], points[..., 0:3:2], xp=torch)
         return torch.stack([seen[..., 0], points[..., 1] - self.floor_y[:, None], -seen[..., 1]], -1)
 
 
 class TensorRollout:
-    """The part of a `sim_kinematic.tasks.play.WorldRollout` that a task reads, on a device."""
+    """Part of a `sim_kinematic.tasks.play.WorldRollout` that a task reads on a device."""
 
     xp = torch
 
     def __init__(self, sim: TaskTensors, now: Play, memory: Any) -> None:
-        """``memory`` is what the task stores between steps, [W, ...] each."""
+        """Create a rollout; ``memory`` has the values that the task stores between steps, [W, ...] each."""
         self._sim, self._now = sim, now
         self.spec, self.steps, self.world, self.memory = sim.spec, now.steps, sim.world(now), memory
 
@@ -192,7 +192,7 @@ class TensorRollout:
         return self._sim.extra(name)[self._now.episode]
 
     def path_length(self, agent: int, points: Tensor) -> Tensor:
-        """Return the lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return the shortest path lengths from an agent to points [W, 2], [W] [m]; infinite if there is no path."""
         return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
@@ -202,7 +202,7 @@ class TensorRollout:
 
 
 class TaskTensors:
-    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
+    """W worlds, each in an episode of a bank, which start the following episode in the step after the end of one."""
 
     def __init__(
         self,
@@ -216,10 +216,10 @@ class TaskTensors:
         robot: str = "quad_arm",
         human: str = "female_0",
     ) -> None:
-        """``dtype`` of the state: float64 on the CPU, else float32.
+        """Create the worlds; ``dtype`` of the state is by default float64 on the CPU and float32 on other devices.
 
         Raises:
-            InputError: rules do not hold on a device, or a home has stairs.
+            InputError: a device does not support the rules, or a home has stairs.
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
@@ -270,7 +270,7 @@ class TaskTensors:
         return self._place[play.episode]
 
     def world(self, play: Play) -> TensorWorld:
-        """Return the agents and floors."""
+        """Return the agents and floors as a `TensorWorld`."""
         start, place = self._starts[play.episode], self.place_of(play)
         return TensorWorld(
             worlds=len(play.steps),
@@ -296,7 +296,7 @@ class TaskTensors:
         """Return an entry of `Episode.extra` of all episodes of the bank, [N, ...].
 
         Raises:
-            InputError: they have no such entry of numbers.
+            InputError: the episodes have no numerical entry of this name.
         """
         if name not in self._extra:
             there = ", ".join(self._extra) or "none"
@@ -410,10 +410,10 @@ class TaskTensors:
     def check_functions(self, names: Sequence[str], worlds: int = 2) -> None:
         """Call `Task.begin`, `Task.judge` and the named sensors with tensors without data.
 
-        Whatever waits for the device, needs NumPy or what no device has, fails.
+        Functions fail if they wait for the device, or need NumPy or features that no device has.
 
         Raises:
-            InputError: a function does; the message names the task and the function or sensor.
+            InputError: a function fails; the message names the task and the function or sensor.
         """
         sim, who = on_meta(copy.copy(self)), self.task.name
         sim.device = torch.device("meta")
@@ -439,12 +439,12 @@ class TaskTensors:
 
 
 def typed(values: Any, dtype: torch.dtype) -> Tensor:
-    """Return a tensor of numbers in the type of the state."""
+    """Return a tensor of numbers, converted to the floating-point type of the state."""
     return values.to(dtype) if isinstance(values, Tensor) and values.is_floating_point() else values
 
 
 def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
-    """Raise a TypeError for a value that is no tensor without data with a row for each world."""
+    """Raise a TypeError for a value that is not a tensor without data with one row for each world."""
     for name, value in values.items():
         if not isinstance(value, Tensor):
             raise TypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
@@ -454,7 +454,7 @@ def require_tensors(values: Mapping[str, Any], worlds: int) -> None:
 
 @contextmanager
 def in_words(which: str) -> Iterator[None]:
-    """Raise errors of a task's function, in this block, as one sentence."""
+    """Turn errors of a task's function within a block into one sentence."""
     try:
         yield
     except H3DataError:
@@ -469,7 +469,7 @@ def in_words(which: str) -> Iterator[None]:
 
 
 def on_meta(thing: Any) -> Any:
-    """Return a copy of an object in which all tensors, also those in nested dataclasses, are without data (device ``meta``)."""
+    """Return a copy of an object whose tensors have no data (device ``meta``), also those in nested dataclasses."""
     for name, value in vars(thing).items():
         if isinstance(value, Tensor):
             object.__setattr__(thing, name, value.to("meta"))

@@ -1,1 +1,1 @@
-"""Social rearrangement with oracle skills in W worlds as tensors: `sim_kinematic.agents.oracle`, line by line."""
+"""Social rearrangement with oracle skills in W worlds as tensors, equivalent to `sim_kinematic.agents.oracle`."""

@@ -1,7 +1,7 @@
 """Bank of sampled episodes of rearrangement.
 
-Everything that needs a search (objects and goals within reach of both agents, where agents stand, the shortest paths to
-there) is computed once on the host, so that steps on a device only look it up.
+Everything that needs a search (objects and goals within reach of both agents, places to stand, and the shortest paths
+to them) is computed once on the host, so that steps on a device only look it up.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
-"""Index of tables by their paths: those of robot and person to their stands, and anybody's to the floor below an
-object."""
+"""Indices of tables of paths: paths of the robot and of the person to their stands, and paths of any agent to the floor
+below an object.
+"""
 
 
 class BankFloor(Floor, Protocol):
-    """The parts of a `h3data.scene.FreeSpace` that rearrangement on a device reads."""
+    """Protocol of the parts of a `h3data.scene.FreeSpace` that rearrangement on a device reads."""
 
     @property
     def floor_y(self) -> float:
@@ -42,11 +43,12 @@ class BankFloor(Floor, Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RearrangeBank:
-    """N episodes of K objects in R homes, with the shortest paths in them.
+    """Bank of N episodes of K objects in R homes, with the shortest paths in them.
 
-    Paths to places are numbered ``(who * 2 + at_goal) * K + object``, with ``who = 2`` for the floor below; then come those
-    of both agents to the M handles of what they may choose to open, ``6 K + who * M + part``; F in all. Points of a path are
-    the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
+    Paths to places are numbered ``(who * 2 + at_goal) * K + object``, with ``who = 2`` for the floor below. They are
+    followed by the paths of both agents to the M handles of doors and drawers that they may open, numbered ``6 K + who
+    * M + part``. There are F paths in total. Points of a path are the n corners of the home, then the S places at its
+    end (`sim_kinematic.agents.oracle.ways.PathTable`).
     """
 
     spec: RearrangeSpec
@@ -55,29 +57,29 @@ class RearrangeBank:
     floors: tuple[BankFloor, ...]
     """Floors of the homes, [R]."""
     scenes: tuple[Scene, ...]
-    """Homes, for pictures; none if the bank comes from a file."""
+    """Homes, for pictures; empty if the bank comes from a file."""
     place: NDArray[np.int64]
-    """Number of the home, [N]."""
+    """Number of the home of each episode, [N]."""
     seeds: NDArray[np.int64]
     """Seeds of the episodes, as in recordings, [N]."""
     starts: Array
-    """``(x, z, heading)`` of robot and person, [N, 2, 3]."""
+    """Starts ``(x, z, heading)`` of robot and person, [N, 2, 3] [m, m, rad]."""
     spots: Array
-    """Places of each object at the beginning, then its goals, then handles at rest, [N, 2 K + M, 3] [m]."""
+    """Initial positions of the objects, followed by their goals and the handles at rest, [N, 2 K + M, 3] [m]."""
     ends: Array
     """Places at the ends of the paths, [N, F, S, 2] [m]; NaN for unused rows."""
     first: NDArray[np.int16]
-    """First point of the path from each cell: for each episode F tables, one entry for each cell of the home."""
+    """First point of the path from each cell; each episode has F tables with one entry for each cell of the home."""
     first_of: NDArray[np.int64]
-    """First entries of each episode, [N]."""
+    """Index in ``first`` of the first entry of each episode, [N]."""
     after: NDArray[np.int16]
-    """Next point of the path from each corner: F tables for each episode."""
+    """Next point of the path from each corner, in F tables for each episode."""
     after_of: NDArray[np.int64]
     left: NDArray[np.float32]
-    """Length of the path from each corner to the floor below objects and goals [m], 2 K tables."""
+    """Length of the path from each corner to the floor below objects and goals [m], in 2 K tables for each episode."""
     left_of: NDArray[np.int64]
     corners: Array
-    """Corners of all homes, one home after the other [m]."""
+    """Corners (x, z) of all homes, one home after the other [m]."""
     corners_of: NDArray[np.int64]
     """First row of each home in ``corners``, [R + 1]."""
     origins: Array
@@ -99,7 +101,7 @@ class RearrangeBank:
         human: str = "female_0",
         task: Rearrange | None = None,
     ) -> RearrangeBank:
-        """Return the first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
+        """Sample the first ``count`` episodes of the run ``seed``, which environments with this seed also play.
 
         Raises:
             InputError: as for `EpisodeSource` and `of`.
@@ -116,10 +118,11 @@ class RearrangeBank:
 
     @classmethod
     def of(cls, episodes: Sequence[RearrangeEpisode], *, task: Rearrange | None = None) -> RearrangeBank:
-        """Return a bank of these episodes of one robot and one person, under the rules of the first; ``task`` made them.
+        """Return a bank of a task's episodes of one robot and one person, under the rules of the first episode.
 
         Raises:
-            InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
+            InputError: the episodes have other agents, the rules have no oracle skills, or a device does not support a
+                home.
         """
         spec, roster = episodes[0].spec, episodes[0].roster
         parts = [(task or Rearrange()).parts_of(episode) for episode in episodes]
@@ -166,9 +169,9 @@ class RearrangeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
-        """Merge the episodes of several banks, of the same rules and bodies, one after the other.
+        """Return the concatenated episodes of several banks with the same rules and bodies.
 
-        If no two banks share a home, it equals the bank that is made of all episodes at once.
+        If no two banks share a home, the result equals the bank that is made of all episodes at once.
         """
         widest = max(bank.ends.shape[2] for bank in banks)
         homes = np.cumsum([0, *(len(bank.floors) for bank in banks)])
@@ -212,7 +215,7 @@ class RearrangeBank:
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:
-        """Return the objects that a planner brings to their goals in each episode, in order, [N, K]; then -1.
+        """Return the objects that a planner brings to their goals in each episode, in order, [N, K]; -1 after the last.
 
         Raises:
             InputError: there is no such planner.
@@ -227,7 +230,7 @@ class RearrangeBank:
 
 
 def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
-    """Return objects in the order of a planner, -1 after the last, [N, K]."""
+    """Return the objects in the order in which a planner brings them to their goals, [N, K]; -1 after the last."""
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
 
 

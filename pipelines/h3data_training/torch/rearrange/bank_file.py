@@ -1,4 +1,4 @@
-"""Bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
+"""File of a bank of episodes that holds only arrays, executes nothing, and can be played without building homes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredFloor:
-    """A `h3data_training.torch.rearrange.bank.BankFloor` that comes from a file."""
+    """Floor (`h3data_training.torch.rearrange.bank.BankFloor`) that was read from a file."""
 
     sdf: NDArray[np.float32]
     """Distance to the nearest obstacle at cell centres, [nx, nz] [m]."""
@@ -40,7 +40,7 @@ class StoredFloor:
 
 
 def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, Any]) -> None:
-    """Write a compressed npz that appears whole or not at all; ``drawn_by`` are the settings of the episodes."""
+    """Write a bank to a compressed npz file atomically; ``drawn_by`` are the settings of the episodes."""
     about = {
         "format": FORMAT,
         "drawn_by": dict(drawn_by),
@@ -60,7 +60,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
 
     Raises:
         FormatError: the file is not a bank of episodes, or is damaged.
-        InputError: its episodes are for other rules.
+        InputError: its episodes have other rules.
     """
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:

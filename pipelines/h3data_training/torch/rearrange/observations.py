@@ -1,4 +1,4 @@
-"""Observations on a device: the rows of `sim_kinematic.sensing.table` for W worlds of rearrangement."""
+"""Observations on a device, by the entries of `sim_kinematic.sensing.table` for W worlds of rearrangement."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose, Sensor
 from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
-"""Index of the moment a second ago among the two moments of `Paths`; 0 is now."""
+"""Index of the moment one second ago in the arrays of `Paths`; index 0 is now."""
 
 
 class Paths(NamedTuple):
-    """Shortest paths of both agents, robot and person, which both observe."""
+    """Shortest paths of both agents, which the robot and the person observe."""
 
     xz: Tensor
-    """Positions of both agents now and a second ago, [W, 2, 2, 2] [m]."""
+    """Positions of both agents now and one second ago, (x, z) [W, 2, 2, 2] [m]."""
     lengths: Tensor
     """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
-    """Places of each agent `AHEAD_M` further on the path to each object or, with an object in hand, to its goal, [W, 2,
-    K, n, 2]; to an object in the other agent's hand it is the straight line."""
+    """Points that lie `AHEAD_M` ahead of each agent on its path to each object or, with an object in hand, to its goal,
+    [W, 2, K, n, 2] [m]. The path to an object in the other agent's hand is the straight line.
+    """
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
@@ -73,7 +74,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` computes them."""
+        """Return the view of the ``robot`` or the ``human``; without ``paths``, `observed` computes the paths."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
@@ -90,7 +91,7 @@ class View(NamedTuple):
 
     @property
     def xp(self) -> ModuleType:
-        """The array namespace."""
+        """Array namespace of the tensors."""
         return torch
 
     @property
@@ -106,7 +107,7 @@ class View(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects, their holders and open parts, which hands change."""
+        """Objects, their holders and open parts, all of which hands change."""
         return self.play.hands
 
     @property
@@ -134,12 +135,12 @@ class View(NamedTuple):
 
     @property
     def objects(self) -> Tensor:
-        """Places of objects, [W, K, 3] [m]."""
+        """Positions of objects, [W, K, 3] [m]."""
         return self.play.objects
 
     @property
     def starts(self) -> Tensor:
-        """Initial places of objects, [W, K, 3] [m]."""
+        """Initial positions of objects, [W, K, 3] [m]."""
         return self.sim.tables.spots[self.play.episode, : self.sim.bank.objects]
 
     @property
@@ -169,7 +170,7 @@ class View(NamedTuple):
 
     @property
     def steps(self) -> Tensor:
-        """Number of steps since the episode began, [W]."""
+        """Number of steps since the start of the episode, [W]."""
         return self.play.steps
 
     def floor_y(self) -> Tensor:
@@ -177,10 +178,10 @@ class View(NamedTuple):
         return self.sim.tables.floor_y[self.places.place]
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Tensor:
-        """Return the lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
+        """Return the lengths of the shortest paths from the agent or the other agent to objects or goals, [W, K] [m].
 
-        With ``then`` from the position `THEN` steps ago. The length to an object that is held is the straight distance, as
-        tables have no paths to agents.
+        With ``then``, the paths start at the position `THEN` steps ago. For an object that is held, the length is the
+        straight-line distance, because tables have no paths to agents.
         """
         play, count, paths = self.play, self.sim.bank.objects, self.known_paths
         who, when = 1 - self.agent if other else self.agent, THEN if then else 0
@@ -192,21 +193,21 @@ class View(NamedTuple):
         return torch.where(play.held_by != NOBODY, torch.hypot(gap[..., 0], gap[..., 1]), lies)
 
     def ahead(self, *, other: bool) -> Tensor:
-        """Return where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
+        """Return the points `AHEAD_M` ahead of either agent on its paths (`Paths.ahead`), [W, K, n, 2] [m]."""
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """Return a number for each choice: 1 for the last one, if it ended with this outcome, [W, C]."""
+        """Return a number for each choice, which is 1 for the last choice if it ended with a given outcome, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
-        """Return which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
+        """Return a mask [W, C] of choices that the agent's hand allows (`sim_kinematic.agents.skills`)."""
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 
 def observed_of(sensors: Mapping[str, Sensor], parts: int) -> tuple[str, ...]:
-    """Return the names of the sensors of a device: all but those of the hand and of the start frame."""
+    """Return the names of the sensors that a device supports: all but those of the hand and of the start frame."""
     lacking = ("joints",) if parts else ("joints", "parts")
     return tuple(n for n, s in sensors.items() if s.frame not in ("hand", "start") and s.times not in lacking)
 
@@ -222,14 +223,14 @@ OF_PATHS = (
     "path_ahead",
     "other_path_ahead",
 )
-"""Observations that are computed from `Paths`."""
+"""Names of observations that are computed from `Paths`."""
 
 
 def checked_observations(names: tuple[str, ...], known: Sequence[str] = OBSERVED) -> tuple[str, ...]:
     """Return the names, each once, if they are ``known``.
 
     Raises:
-        InputError: a device does not show one of them.
+        InputError: a device does not support one of them.
     """
     unknown = [name for name in names if name not in known]
     if unknown or not names:

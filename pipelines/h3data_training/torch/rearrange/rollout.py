@@ -1,4 +1,4 @@
-"""Part of a rollout that tasks with objects read on a device, where their `begin` and `judge` are called with tensors."""
+"""Rollout on a device of tasks with objects, whose `begin` and `judge` are called with tensors."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class SkillWorld(NamedTuple):
 
 
 class SkillTensorRollout:
-    """The part of a `sim_kinematic.tasks.play.WorldRollout` of agents with skills that a task reads."""
+    """Part of a `sim_kinematic.tasks.play.WorldRollout` with skills that tasks read on a device."""
 
     xp = torch
 
     def __init__(self, spec: Any, now: Play, at_goal: Tensor, memory: Any) -> None:
-        """``memory`` is what the task stores between steps, [W, ...] each."""
+        """Create a rollout; ``memory`` has the values that the task stores between steps, [W, ...] each."""
         self.spec, self.steps, self.memory = spec, now.steps, memory
         self.at_goal, self.open_parts = at_goal, now.opened
         was = tuple(Pose(now.before[:, who, :2], now.before[:, who, 2]) for who in range(2))

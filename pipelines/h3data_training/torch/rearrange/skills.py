@@ -1,6 +1,6 @@
-"""Turn of an agent: its choice, its motion, and the objects that change hands.
+"""Turn of an agent, with its choice, its motion, and the objects that it picks or places.
 
-Its rules are `sim_kinematic.agents.oracle.rules`; the rest repeats `sim_kinematic.agents.oracle.actors`.
+Its rules are `sim_kinematic.agents.oracle.rules`; the rest is equivalent to `sim_kinematic.agents.oracle.actors`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim_kinematic.agents.skills import CHOICE_WAIT_STEPS, PRIMITIVES
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
 
 NAV_OBJECT, NAV_GOAL, PICK, PLACE, WAIT = range(5)
-"""Kinds of choices; primitives come after them."""
+"""Kinds of choices, which are followed by the primitives."""
 NAV_HANDLE, OPEN, CLOSE = range(WAIT + 1 + len(PRIMITIVES), WAIT + 4 + len(PRIMITIVES))
 """Kinds of choices with a door or a drawer, of `sim_kinematic.agents.skills.OPENING_SKILLS`."""
 
@@ -33,20 +33,20 @@ class Choices:
     """Choices of one kind of agent (`sim_kinematic.agents.skills.choices`), as tables by number, [C] each."""
 
     who: int
-    """Index of the agent: 0 the robot, 1 the person."""
+    """Index of the agent: 0 for the robot, 1 for the person."""
     kind: Tensor
     target: Tensor
     """Number of the choice's object; 0 if it has none."""
     part: Tensor
     """Number of the choice's door or drawer; 0 if it has none."""
     steps: Tensor
-    """Number of steps that each choice lasts; 0 for movements to a place."""
+    """Duration of each choice in steps; 0 for movements to a place."""
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
-    """Place of a held object in the frame of the agent's root, [3] [m]."""
+    """Position of a held object in the agent root frame, [3] [m]."""
     changes: int
-    """Number of the step of a pick or a place in which the object changes hands."""
+    """Number of the step of a pick or a place in which the object is taken or released."""
 
     @classmethod
     def of(
@@ -58,7 +58,7 @@ class Choices:
         dtype: torch.dtype,
         parts: int = 0,
     ) -> Choices:
-        """Return the choices of a robot or a person."""
+        """Return the table of choices of a robot or a person."""
         opening = [kind for kind in (NAV_HANDLE, OPEN, CLOSE) for _ in range(parts)]
         primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
         changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
@@ -95,29 +95,29 @@ class Choices:
 
 
 class Turn(NamedTuple):
-    """Agent with its present choice, before it moves."""
+    """Agent with its current choice, before it moves."""
 
     does: SubGoal
     kind: Tensor
-    """Kind of the agent's present choice; -1 if it does nothing."""
+    """Kind of the agent's current choice; -1 if it does nothing."""
     goes: Tensor
     """True if the agent is moving to a place, bool [W]."""
     spot: Tensor
-    """Place of the object or goal that the agent goes to, [W, 3]."""
+    """Position of the object or goal to which the agent goes, [W, 3] [m]."""
 
 
 def of_object(values: Tensor, k: Tensor) -> Tensor:
-    """Return values [W, K] of one object of each world."""
+    """Select the values of one object in each world from values [W, K]."""
     return values.gather(1, k[:, None])[:, 0]
 
 
 def one_of(number: Tensor, count: int) -> Tensor:
-    """Return whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    """Return masks bool [W, count] that are True only for the thing with the number [W]."""
     return number[:, None] == torch.arange(count, device=number.device)
 
 
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
-    """Return whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W] or, for all of them, [W, C]."""
+    """Return whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W], or all choices [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
     flat = k if k.ndim == 2 else k[:, None]
     holder = hands.held_by.gather(1, flat).reshape(k.shape)
@@ -148,7 +148,7 @@ def begin(
     hands: Hands,
     oracle: OracleSpec,
 ) -> Turn:
-    """Begin what free agents have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
+    """Start the choices ``chosen`` [W] of free agents; infeasible choices fail without a motion in this step."""
     objects, free = places.tables.objects, does.skill == FREE
     number = torch.where(free, chosen, does.skill)
     kind, k = choices.kind[number], choices.target[number]
@@ -183,7 +183,7 @@ def begin(
 
 
 def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
-    """Let agents that ``may`` [W] change their choice do so, if it differs from their present one."""
+    """Let agents for which ``may`` [W] is True change their choice if it differs from their current one."""
     stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
     return does._replace(
         skill=torch.where(stops, FREE, does.skill),
@@ -193,7 +193,7 @@ def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
 
 
 def error_to(xz: Tensor, heading: Tensor, point: Tensor, bearing: float = 0.0) -> Tensor:
-    """Return the angle by which agents must turn to have points [W, 2] at a bearing to their left, [W] [rad]."""
+    """Return the angle by which agents must turn to have points [W, 2] at a given bearing to their left, [W] [rad]."""
     gap = point - xz
     return wrap_angle(torch.atan2(-gap[:, 1], gap[:, 0]) - bearing - heading)
 
@@ -216,7 +216,7 @@ def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Sub
 def move_robots(
     choices: Choices, turn: Turn, robot: RobotTensors, places: Places, grids: Grids, base: BaseSpec, bearing: float
 ) -> tuple[RobotTensors, SubGoal]:
-    """Move the bases by one step; an agent that has arrived and turned, or is stuck, is free again."""
+    """Move the bases by one step; a robot that has arrived and turned, or is stuck, becomes free."""
     xz, heading, spot = robot.xz, robot.heading, turn.spot[:, 0::2]
     does, point, away, is_end = _go_on(turn, places, xz, VIA_M)
     there = is_there(away, is_end, does.best, does.since)
@@ -244,7 +244,7 @@ def move_robots(
 
 
 def move_people(turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec) -> tuple[HumanTensors, SubGoal]:
-    """Move the people by one step; a person who has arrived and turned is free again."""
+    """Move the people by one step; a person who has arrived and turned becomes free."""
     spot, within = turn.spot[:, 0::2], walker.arrive_m
     does, point, away, is_end = _go_on(turn, places, person.xz, within)
     turns = turn.goes & is_end & (away <= within)
@@ -261,7 +261,7 @@ def move_people(turn: Turn, person: HumanTensors, places: Places, walker: Walker
 def handle(
     choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
 ) -> tuple[SubGoal, Hands]:
-    """Move held objects with the agent at ``root`` [W, 3]; picks and places change hands; skills of limited duration end."""
+    """Move held objects with the agent at ``root`` [W, 3], carry out picks and places, and end timed skills."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (kind != NAV_HANDLE) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)
@@ -288,12 +288,12 @@ def handle(
 
 
 def of_object3(values: Tensor, k: Tensor) -> Tensor:
-    """Return vectors [W, K, 3] of one object of each world."""
+    """Select the vectors [W, 3] of one object in each world from vectors [W, K, 3]."""
     return values.gather(1, k[:, None, None].expand(-1, 1, values.shape[-1]))[:, 0]
 
 
 def in_hand(carry: Tensor, root: Tensor, heading: Tensor) -> Tensor:
-    """Return the world points [W, 3] of carried objects, by their place in the frame of the roots [3]."""
+    """Return the world positions [W, 3] [m] of carried objects, from their position in the agent root frame [3] [m]."""
     c, s = heading.cos(), heading.sin()
     x, z = root[:, 0] + c * carry[0] + s * carry[2], root[:, 2] - s * carry[0] + c * carry[2]
     return torch.stack([x, root[:, 1] + carry[1], z], -1)

@@ -1,4 +1,4 @@
-"""State of W worlds of rearrangement, as tensors that are replaced, not changed in place."""
+"""State of W worlds of rearrangement as tensors that are replaced instead of changed in place."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
 """Outcomes of the last choice of an agent."""
 NOBODY = -1
 FREE = -1
-"""Number that stands for no choice: the agent has to choose. As an action: continue, or wait."""
+"""Number for no choice, with which an agent has to choose; as an action, it means to continue or to wait."""
 
 
 class SubGoal(NamedTuple):
     """Sub-goal of one agent in each world."""
 
     skill: Tensor
-    """Number of the agent's present choice, int64 [W]; `FREE` if the agent chooses in its next turn."""
+    """Number of the agent's current choice, int64 [W]; `FREE` if the agent chooses in its next turn."""
     field: Tensor
     """Number of the table of paths that the agent follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
-    """Number of the point that the agent moves to, int64 [W]."""
+    """Number of the path point to which the agent moves, int64 [W]."""
     best: Tensor
-    """Least distance to the sub-goal so far [W] [m]; below 0 if the agent has begun to turn there."""
+    """Smallest distance to the sub-goal so far [W] [m]; negative if the agent has arrived and started to turn."""
     since: Tensor
-    """Number of steps since the sub-goal began, int64 [W]."""
+    """Number of steps since the start of the sub-goal, int64 [W]."""
     timer: Tensor
-    """Number of steps of the skill so far, int64 [W]."""
+    """Number of steps of the current skill so far, int64 [W]."""
     last: Tensor
     """Number of the last choice, int64 [W]."""
     outcome: Tensor
@@ -42,7 +42,7 @@ class SubGoal(NamedTuple):
     passed: Tensor
     """Number of objects in that order that are done or skipped, int64 [W]."""
     tries: Tensor
-    """Number of failed attempts at the present object, int64 [W]."""
+    """Number of failed attempts at the current object, int64 [W]."""
 
     @classmethod
     def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> SubGoal:
@@ -84,29 +84,29 @@ class Play(NamedTuple):
     robot_does: SubGoal
     human_does: SubGoal
     objects: Tensor
-    """Places of the objects, [W, K, 3] [m]."""
+    """Positions of the objects, [W, K, 3] [m]."""
     held_by: Tensor
-    """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
+    """Holder of each object: 0 for the robot, 1 for the person, -1 for none, int64 [W, K]."""
     moved: Tensor
     """True if each object has been put down at its goal, bool [W, K]."""
     placed_by: Tensor
-    """Number of the agent that last put each object down, -1 nobody, int64 [W, K]."""
+    """Number of the agent that last put each object down, -1 for none, int64 [W, K]."""
     paid: Tensor
-    """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
+    """Sub-goals that have been rewarded (each object picked, then each object at its goal), bool [W, 2 K]."""
     opened: Tensor
     """True for the doors and drawers of the task that are open, bool [W, M]."""
     memory: Mapping[str, Tensor]
     """Values that a custom task stores between steps, [W, ...] each."""
     track: Tensor
-    """Places of robot and person at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
+    """Positions of robot and person after the last steps, in a ring buffer by step number, [W, 31, 2, 2] [m]."""
     before: Tensor
-    """Place ``(x, z, heading)`` of both agents a step ago, [W, 2, 3]."""
+    """Place ``(x, z, heading)`` of both agents one step ago, [W, 2, 3] [m, m, rad]."""
     episode: Tensor
     """Number of the episode in the bank, int64 [W]."""
     steps: Tensor
     """Number of steps of the episode so far, int64 [W]."""
     ended: Tensor
-    """True if the episode is over, so that the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step starts another, bool [W]."""
     success: Tensor
     collides: Tensor
     """True if both agents touch, bool [W]."""
@@ -115,11 +115,11 @@ class Play(NamedTuple):
     terminated: Tensor
     """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
-    """True if the episode had all its steps, bool [W]."""
+    """True if the episode reached its time limit, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype, parts: int = 0) -> Play:
-        """Return worlds whose first step begins the episodes after ``episode`` [W]; a task's memory is empty."""
+        """Return worlds whose first step starts the episodes after ``episode`` [W]; a task's memory is empty."""
         worlds, device = len(episode), episode.device
 
         def numbers(*axes: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""Bank of episodes on a device, and look-ups in it for W worlds."""
+"""Tables of a bank of episodes on a device, and look-ups in them for W worlds."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from h3data_training.torch.rearrange.bank import FLOOR, RearrangeBank
 from sim_kinematic.agents.oracle.ways import CELL_M
 
 HOPS = 4
-"""Number of legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
+"""Number of segments of a path that `Places.along` follows; corners are at least 25 cm apart, mostly more than a metre.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tables:
-    """The arrays of a `RearrangeBank` as tensors."""
+    """Arrays of a `RearrangeBank` as tensors."""
 
     objects: int
     """Number K of objects."""
@@ -34,7 +35,7 @@ class Tables:
     ends: Tensor
     """End points of each distance field, up to S of them, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
-    """First point of the path from each cell, int16: a GPU reads half as much as with int32."""
+    """First point of the path from each cell, as int16, of which a GPU reads half as many bytes as of int32."""
     first_of: Tensor
     after: Tensor
     after_of: Tensor
@@ -97,7 +98,7 @@ class Tables:
 
 
 class Places(NamedTuple):
-    """Look-ups for W worlds; further axes come after that of the worlds."""
+    """Look-ups for W worlds; additional axes follow the axis of the worlds."""
 
     tables: Tables
     episode: Tensor
@@ -113,7 +114,7 @@ class Places(NamedTuple):
         return values.reshape(-1, *[1] * (like.ndim - 1))
 
     def spots(self, field: Tensor) -> Tensor:
-        """Return the start, the goal or the handle to which paths [W] lead: [W, 3]."""
+        """Return the start, goal or handle to which paths [W] lead, [W, 3] [m]."""
         number, some = field % (2 * self.tables.objects), self.tables.parts
         if some:
             handle = field - 6 * self.tables.objects
@@ -121,11 +122,11 @@ class Places(NamedTuple):
         return self.tables.spots[self.episode, number]
 
     def ends(self, field: Tensor) -> Tensor:
-        """Return the places at the ends of paths [W, ...]: [W, ..., S, 2]."""
+        """Return the places at the ends of paths [W, ...], as [W, ..., S, 2] [m]."""
         return self.tables.ends[self._rows(self.episode, field) * self.tables.fields + field]
 
     def first(self, field: Tensor, xz: Tensor) -> Tensor:
-        """Return the first points of paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
+        """Return the numbers of the first points of paths [W, ...] from points [W, ..., 2], -1 if there is no path."""
         last = self._rows_of(self.shape, field) - 1
         origin = self._rows_of(self.origin, field)
         cell = ((xz - origin) / CELL_M).floor().long().clamp_min(0)
@@ -139,14 +140,14 @@ class Places(NamedTuple):
         return values.reshape(len(values), *[1] * (like.ndim - 1), values.shape[-1])
 
     def after(self, field: Tensor, number: Tensor) -> Tensor:
-        """Return the points after corners [W, ...] of paths [W, ...]."""
+        """Return the numbers of the points after corners [W, ...] of paths [W, ...]."""
         count = self._rows(self.n, field)
         first = self._rows(self.tables.after_of[self.episode], field)
         at = first + field * count + torch.minimum(number.clamp_min(0), count - 1)
         return self.tables.after[at.clamp_max(len(self.tables.after) - 1)].long()
 
     def points(self, field: Tensor, number: Tensor) -> Tensor:
-        """Return the points [W, ..., 2] with these numbers [W, ...] of paths [W, ...]."""
+        """Return the positions [W, ..., 2] [m] of points with given numbers [W, ...] of paths [W, ...]."""
         count = self._rows(self.n, field)
         corner = torch.minimum(number.clamp_min(0), (count - 1).clamp_min(0)) + self._rows(self.corners_of, field)
         corner = self.tables.corners[corner.clamp_max(len(self.tables.corners) - 1)]
@@ -155,9 +156,10 @@ class Places(NamedTuple):
         return torch.where((number >= count)[..., None], self.tables.ends[row, end], corner)
 
     def along(self, field: Tensor, xz: Tensor, lengths_m: Sequence[float]) -> Tensor:
-        """Return points at given distances along paths [W, ...] from points [W, ..., 2], [W, ..., n, 2].
+        """Return points [W, ..., n, 2] at given distances along paths [W, ...] from points [W, ..., 2] [m].
 
-        A path that is shorter gives its end, and no path the point itself. At most `HOPS` corners are followed.
+        For a shorter path, the result is its end; without a path, it is the point itself. At most `HOPS` corners are
+        followed.
         """
         number, at, walked = self.first(field, xz), xz, torch.zeros_like(xz[..., 0])
         is_path, found = number >= 0, [xz] * len(lengths_m)
@@ -176,7 +178,7 @@ class Places(NamedTuple):
     def lengths(self, xz: Tensor) -> Tensor:
         """Return the lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
 
-        They are infinite where there is no path.
+        Lengths are infinite if there is no path.
         """
         many = torch.arange(2 * self.tables.objects, device=xz.device)
         field = (FLOOR * 2 * self.tables.objects + many).expand(*xz.shape[:-1], -1)

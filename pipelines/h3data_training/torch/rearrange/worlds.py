@@ -1,8 +1,9 @@
 """Social rearrangement in W worlds on a device, under the rules of `sim_kinematic.motion.spec.OracleSpec`.
 
-State, choices and results stay on the device and nothing waits for it, so that on a GPU a whole step with its new
-episodes is one CUDA graph. The same episodes with the same choices equal those of `sim_kinematic.tasks.skills.household`
-on the CPU (tests/training/torch/test_rearrange.py): places within 1e-9 m in float64, everything else exactly.
+State, choices and results stay on the device, and no operation waits for it, so that on a GPU a whole step, including
+new episodes, is one CUDA graph. The same episodes with the same choices equal those of
+`sim_kinematic.tasks.skills.household` on the CPU (tests/training/torch/test_rearrange.py): positions are equal within
+1e-9 m in float64, and everything else is equal exactly.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from sim_kinematic.tasks.skills.household import TRACK
 
 
 class RearrangeTensors:
-    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
+    """W worlds, each in an episode of a bank, which start the following episode in the step after the end of one."""
 
     def __init__(
         self,
@@ -64,11 +65,11 @@ class RearrangeTensors:
             task: the task that made them, whose `begin` and `judge` are called with tensors; by default rearrangement.
             device: device of all tensors.
             dtype: type of the state: by default float64 on the CPU, else float32.
-            planners: which of ``robot`` and ``human`` follow plans; the others are controlled from outside.
-            partner: planner whose plans they follow (`sim_kinematic.policies.rearrange.PARTNERS`).
+            planners: agents (``robot``, ``human``) that follow plans; the others are controlled from outside.
+            partner: planner whose plans these agents follow (`sim_kinematic.policies.rearrange.PARTNERS`).
             interrupts: when agents controlled from outside may choose again before their skill has ended: while the other agent
                 is ``close``, as in the environments, ``always`` or ``never``.
-            repeats: whether another episode begins when one is over; otherwise the world stays as it is.
+            repeats: whether another episode starts when one is over; otherwise the world does not change.
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
@@ -92,23 +93,23 @@ class RearrangeTensors:
         return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
-        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step starts the episodes after ``episode`` [W]."""
         blank = Play.before_the_first(episode.to(self.device), self.bank.objects, self.dtype, self.spec.parts)
         return blank._replace(memory={name: torch.zeros_like(t) for name, t in self._remembered(blank).items()})
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
-        """Play a step in all worlds in which the agents choose ``robot`` and ``human``, int64 [W]; return the new state.
+        """Advance all worlds by a step with the choices ``robot`` and ``human``, int64 [W], and return the new state.
 
         Worlds whose episode had ended are at the start of their next one. Choices of planners and of busy agents have
-        no effect; -1 continues the present skill, or waits.
+        no effect; -1 continues the current skill, or waits.
         """
         if not self._repeats:
             return self._kept(play, robot, human)
         return self._begun(play, self._moved(play, robot, human), play.ended)
 
     def start_at(self, episode: Tensor, starts: Tensor) -> Play:
-        """Return all worlds at the start of these episodes [W], but with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
+        """Return worlds at the start of episodes [W], with both agents at ``(x, z, heading)`` [W, 2, 3]."""
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
@@ -262,7 +263,8 @@ class RearrangeTensors:
         """Call `Task.begin` and `Task.judge` of a custom task with tensors without data.
 
         Raises:
-            InputError: one of them waits for the device, needs NumPy or what no device has; the message names both.
+            InputError: one of them waits for the device, or needs NumPy or features that no device has; the message
+                names it.
         """
         if self._is_usual:
             return
@@ -286,12 +288,12 @@ class RearrangeTensors:
 
     # --- what holds now -----------------------------------------------------------------------------------------------
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
-        """Return which objects are at their goals and in nobody's hand, bool [W, K]."""
+        """Return whether objects are at their goals and not held, bool [W, K]."""
         goals, within_m = self.tables.goals(places.episode), self.spec.at_goal_m
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=within_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
-        """Return whether others [W, 2] are in the ellipse around agents within which skills may be interrupted, bool [W]."""
+        """Return whether other agents [W, 2] are in the ellipse in which skills may be interrupted, bool [W]."""
         ahead_m, aside_m = self.spec.near_m
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
@@ -310,7 +312,7 @@ class RearrangeTensors:
 
 
 def packed(like: Play, tensors: list[Tensor]) -> Play:
-    """Return a state of these tensors, in the order of `Play.tensors`."""
+    """Return a state that consists of given tensors, in the order of `Play.tensors`."""
     parts, left = [], list(tensors)
     for part in like:
         count = len(part) if isinstance(part, tuple | Mapping) else 1

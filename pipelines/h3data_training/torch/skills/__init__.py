@@ -1,1 +1,1 @@
-"""The skills nav, pick and place in W worlds on a device."""
+"""Skills nav, pick and place in W worlds on a device."""

@@ -1,4 +1,4 @@
-"""Arm of a robot as tensors: joints that move by small steps, and the resulting poses of the hand and all other links."""
+"""Arm of a robot as tensors, with joints that move by small steps, and the poses of the hand and other links."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim_kinematic.motion.spec import ArmSpec
 
 
 class Hand(NamedTuple):
-    """Hands, or other links, of W worlds in some frame."""
+    """Poses of hands or other links in W worlds, in a common frame."""
 
     point: Tensor
     """Points at which hands hold things, or origins of links, [W, 3] [m]."""
@@ -40,7 +40,7 @@ class _Joint:
 
 
 class Arm:
-    """Links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
+    """Kinematics of the links that a robot's arm joints move, including the chain from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
         """Copy the kinematics of a robot's arm to the device.
@@ -93,19 +93,19 @@ class Arm:
         )
 
     def moved(self, joints: Tensor, action: Tensor, spec: ArmSpec) -> Tensor:
-        """Return joints [W, n] after a step by ``action`` [W, n], as `sim_kinematic.agents.manipulation.move_arms`."""
+        """Return joints [W, n] [rad or m] after ``action`` [W, n] (`sim_kinematic.agents.manipulation.move_arms`)."""
         most = spec.joint_step
         return torch.minimum(torch.maximum(joints + action.clamp(-1.0, 1.0) * most, self.lower), self.upper)
 
     def hand(self, joints: Tensor) -> Hand:
-        """Return the hand in the agent root frame at joint positions [W, n]."""
+        """Return the hand in the agent root frame at joint positions [W, n] [rad or m]."""
         link = self._followed(joints, self._chain)[self.robot.hand_link]
         return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
 
     def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
         """Return matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n].
 
-        All other joints are at rest.
+        All joints that are not in the arm are at rest.
         """
         found = self._followed(joints, self._movable)
         still = self._rest[:, :3].expand(len(joints), -1, 3, 4)
@@ -151,7 +151,7 @@ def _after(joint: _Joint, parent: Hand, joints: Tensor) -> Hand:
 
 
 def place_hand(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
-    """Place hands in the frames of agents at floor points [W, 2], with headings [W] and heights [W], in the world."""
+    """Return hands in the world frame, for agents at floor points [W, 2] with headings [W] and heights [W]."""
     c, s = heading.cos(), heading.sin()
     x, y, z = hand.point.unbind(-1)
     point = torch.stack([xz[:, 0] + c * x + s * z, floor_y + y, xz[:, 1] + c * z - s * x], -1)
@@ -166,5 +166,8 @@ def seen_by(hand: Hand, points: Tensor) -> Tensor:
 
 
 def turned(axes: Tensor, by: Tensor) -> Tensor:
-    """Multiply rotations [..., 3, 3], with the same bits on every device: a GPU might use 10 bits in matrix products."""
+    """Multiply rotations [..., 3, 3] with the same bits on every device.
+
+    In matrix products, a GPU might use a precision of 10 bits.
+    """
     return (axes[..., None] * by[..., None, :, :]).sum(-2)

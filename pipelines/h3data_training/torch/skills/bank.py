@@ -23,37 +23,37 @@ COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "h
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillBank:
-    """N starts of one skill, all with the same number of objects."""
+    """Bank of N starts of one skill, all with the same number of objects."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the homes, for the robot's base."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
-    """Number of the home, [N]."""
+    """Number of the home of each start, [N]."""
     xz: NDArray[np.float64]
-    """Place of the robot, [N, 2] [m]."""
+    """Position (x, z) of the robot, [N, 2] [m]."""
     heading: NDArray[np.float64]
     """Headings at the start [N] [rad]."""
     objects: NDArray[np.float64]
-    """Places of the objects [N, K, 3] [m]."""
+    """Positions of the objects [N, K, 3] [m]."""
     bodies: NDArray[np.int64]
     """Numbers of the objects among the instances of the home, [N, K]."""
     turned: NDArray[np.float64]
     """Orientations of the objects, quaternions [N, K, 4]."""
     target: NDArray[np.int64]
-    """Number of the object, [N]."""
+    """Number of the target object, [N]."""
     holds: NDArray[np.bool_]
-    """True if the robot holds the object, [N]."""
+    """True if the robot holds the target object, [N]."""
     point: NDArray[np.float64]
-    """Point at which the object lies or is to go, [N, 3] [m]."""
+    """Point at which the object lies or has to be placed, [N, 3] [m]."""
     stand: NDArray[np.float64]
-    """Nearest place from which the hand reaches the point, [N, 2] [m]."""
+    """Nearest position (x, z) from which the hand can reach the point, [N, 2] [m]."""
     unfolded: NDArray[np.float64] | None = None
-    """Share of the motion from rest to reaching that the arm has made at the start, [N]; None: it is at rest."""
+    """Share of the motion from rest to reaching that the arm has made at the start, [N]; None if the arm is at rest."""
 
     @classmethod
     def of(cls, starts: Sequence[tuple[RearrangeEpisode, FreeSpace, Sequence[SkillStart]]]) -> SkillBank:
-        """Return the starts in some episodes, each with the floor for the robot's base.
+        """Return a bank of starts in some episodes, which are given with the floor for the robot's base.
 
         Raises:
             InputError: there are no starts, or a device does not support a home.
@@ -86,7 +86,7 @@ class SkillBank:
 
     @classmethod
     def merged(cls, banks: Sequence[SkillBank]) -> SkillBank:
-        """Return the starts of several banks, one after the other."""
+        """Return the concatenated starts of several banks."""
         first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
         return cls(
             floors=tuple(floor for bank in banks for floor in bank.floors),
@@ -96,9 +96,9 @@ class SkillBank:
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
-        """Return a bank in which starts close to their stands make up a share of all.
+        """Return a bank in which a given share of the starts is close to the stands.
 
-        Starts within ``within_m`` of their stands are repeated for that. The bank is unchanged if there are none, or
+        For this, starts within ``within_m`` of their stands are repeated. The bank is unchanged if there are none, or
         enough.
         """
         near = np.hypot(*(self.xz - self.stand).T) < within_m
@@ -109,14 +109,15 @@ class SkillBank:
         return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
 
     def with_reaching(self, share: float, bearing: float, rng: np.random.Generator) -> SkillBank:
-        """Return a bank in which starts at the stands, with the arm partly extended, make up a share of all.
+        """Return a bank in which a given share of the starts is at the stands, with the arm partly extended.
 
-        Such a start repeats one of the bank, but the robot is where the hand reaches the target, and turned so that it does.
+        Such a start repeats one of the bank, but with the robot at the position and heading from which the hand reaches
+        the target.
 
         Args:
             share: share of the starts, from 0 to less than 1.
             bearing: direction in which the robot reaches, to the left of its forward axis [rad].
-            rng: decides how far arms are extended.
+            rng: random generator for the extension of the arms.
         """
         count = round(share / (1.0 - share) * len(self))
         if not count:

@@ -1,4 +1,4 @@
-"""Pictures of the robots in W worlds of a skill, without leaving the GPU: state -> frames of links and objects -> pictures."""
+"""Pictures of the robots in W worlds of a skill on the GPU, computed from states by frames of links and objects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class SkillCameras:
-    """Camera of the robot in each of W worlds, which differ in the home, in robot and arm, and in the objects' places."""
+    """Camera of the robot in each of W worlds, which differ in home, robot and arm poses, and object positions."""
 
     def __init__(
         self,
@@ -40,12 +40,12 @@ class SkillCameras:
         """Copy the meshes of homes, robot and objects to the GPU.
 
         Args:
-            sim: the worlds; pictures are taken on its device.
+            sim: the worlds; pictures are rendered on its device.
             worlds: number of worlds W.
             camera: camera of the robot, which moves with its link.
             size: width and height of pictures [px] instead of the camera's own; its field of view does not change.
             compile: whether one kernel computes the frames of links and objects (`h3data_training.torch.graph.fused`).
-            renderer: makes the renderer; by default `GpuRenderer`.
+            renderer: function that creates the renderer; by default `GpuRenderer`.
 
         Raises:
             InputError: there is no GPU, or no such camera.
@@ -75,7 +75,7 @@ class SkillCameras:
         self._frames = fused(self._frames_of) if compile else self._frames_of
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """Return pictures of all worlds, by output, each [W, H, W', ...] on the device; depth in metres."""
+        """Render all worlds as images [W, H, W', ...] on the device by output; depth is in metres."""
         # the kernels read it from the device in every launch, a replayed graph's included
         self.renderer._held["scene_of_world"].copy_(self._place[play.episode])
         parts, objects = self._frames(play)
@@ -103,7 +103,7 @@ class SkillCameras:
 
 
 def moved_bodies(bank: SkillBank) -> list[NDArray[np.int64]]:
-    """Return the numbers of the instances of each home that are objects in some episode, ascending."""
+    """Return the numbers of the instances of each home that are objects in at least one episode, ascending."""
     return [np.unique(bank.bodies[bank.place == k]) for k in range(len(bank.scenes))]
 
 

@@ -1,4 +1,4 @@
-"""Motion of bases in W worlds, some with a held object: `h3data_training.torch.step.drive_robots` with a base for each."""
+"""Motion of robot bases in W worlds, by `torch.step.drive_robots` with larger bases for held objects."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """Driving of robots in some homes, with an empty hand and with a held object."""
+    """Motion of robots in some homes, with an empty hand or with a held object."""
 
     grids: Grids
     """Grids of all homes."""
     base: BaseSpec
     carrying: BaseSpec
-    """Discs of a base that also cover what the hand carries."""
+    """Discs of a base that also cover the object in the hand."""
 
     def widened(self, place: Tensor, robot: RobotTensors, holds: Tensor, wide: Tensor) -> Tensor:
-        """Return True for bases that keep a distance which covers what their hands carry, bool [W].
+        """Return whether bases keep a distance that also covers the objects in their hands, bool [W].
 
-        These are the ones that hold something, as soon as there is room for it, as in
+        These are robots that hold something, as soon as there is enough room, as in
         `sim_kinematic.agents.robots.driving.RobotDriver`.
         """
         if self.carrying is self.base:
@@ -50,7 +50,7 @@ class Drive:
         return room >= self.carrying.disc_radius_m
 
     def step(self, place: Tensor, robot: RobotTensors, action: Tensor, wide: Tensor) -> RobotTensors:
-        """Return the robots after ``action`` [W, 2], in the homes ``place`` [W]."""
+        """Return the robots after ``action`` [W, 2] in the homes with numbers ``place`` [W]."""
         if _on_cpu(robot):
             return self._step_on_cpu(place, robot, action, wide)
         grids = self.grids.at(place)

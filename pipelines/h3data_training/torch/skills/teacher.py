@@ -1,6 +1,6 @@
-"""Script that carries out the skills in W worlds, which learning policies imitate at first.
+"""Scripted teacher that carries out the skills in W worlds, and which learning policies imitate at first.
 
-It knows the path, and a posture that reaches the target.
+The teacher knows the path, and a posture that reaches the target.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.sensing.sensor import in_base_frame
 
 ARRIVED_M, NEARLY_M = 0.1, 0.4
-"""Distance from its stand at which a robot turns to the target, and the same distance with the arm extended [m]."""
+"""Distance from the stand at which a robot turns to the target, and that distance for an extended arm [m]."""
 REACHES_M = 0.3
-"""Distance from the stand at which the arm begins to move [m]."""
+"""Distance from the stand at which the arm starts to move [m]."""
 ALIGNED_RAD = 0.6
-"""Angle to the path up to which the robot drives on; beyond it, it turns on the spot [rad]."""
+"""Angle to the path up to which the robot drives; above it, the robot turns in place [rad]."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
-"""Limits within which a robot that sees its target also reaches out: difference of its distance from that at the stand,
-and length of the path to the stand, so that it is not behind a wall [m]."""
+"""Limits within which a robot that sees its target reaches out [m]: the difference of its distance to the target from
+that at the stand, and the length of the path to the stand, which excludes targets behind a wall.
+"""
 PUTS_M = 0.1
-"""Distance from the goal at which the robot lets go [m]."""
+"""Distance from the goal at which the robot releases the object [m]."""
 SURE = 1.5
-"""Command of a hand that holds on, far enough from 0 for the noise of exploration."""
+"""Command of a hand that keeps holding, far enough from 0 for the noise of exploration."""
 
 
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
-    """Return the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
+    """Return the teacher's current actions for ``hold`` steps, [W, A], in -1..1 except for the hand's command.
 
-    ``by_sight``: for robots that are not told the path to the stand. They cannot know whether they have arrived there, and
-    what they cannot tell apart they imitate on average, which is never to reach out: none learned to pick in 0.5 M decisions,
-    and by sight 90% of episodes succeeded after 0.14 M.
+    ``by_sight`` is for robots that do not observe the path to the stand. They cannot know whether they have arrived,
+    and in states that they cannot distinguish they imitate the mean action, which is never to reach out. Without
+    ``by_sight``, no robot learned to pick in 0.5 M decisions; with it, 90% of episodes succeeded after 0.14 M.
     """
     robot, base = play.robot, sim.drive.base
     point = sim.points(play)

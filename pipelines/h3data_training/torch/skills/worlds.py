@@ -1,10 +1,10 @@
-"""The skills nav, pick and place in W worlds on a device, with a robot alone.
+"""Skills nav, pick and place in W worlds on a device, with a robot alone.
 
-The lower layer is step for step that of `sim_kinematic.agents.robots.skills`; rewards are those of the paper (appendix,
-low-level skill training).
+The low-level control equals that of `sim_kinematic.agents.robots.skills` in each step, and rewards are those of the
+paper (appendix, low-level skill training).
 
-State, actions and results stay on the device and nothing waits for it. Base, joints, grip, the object that is held, its
-position and its rotation are as on the CPU. Unlike there, paths are looked up (`h3data_training.torch.geodesic`).
+State, actions and results stay on the device, and no operation waits for it. Base, joints, grip and the held object
+with its pose are as on the CPU. Unlike on the CPU, paths are looked up (`h3data_training.torch.geodesic`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class SkillPlay(NamedTuple):
     joints: Tensor
     """Positions of the arm's joints, [W, n]."""
     objects: Tensor
-    """Places of the objects [W, K, 3] [m]."""
+    """Positions of the objects [W, K, 3] [m]."""
     turned: Tensor
     """Axes of the objects as columns, [W, K, 3, 3]."""
     grip: Tensor
@@ -55,22 +55,22 @@ class SkillPlay(NamedTuple):
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
-    """True if the base also keeps clear by the size of what the hand carries, bool [W]."""
+    """True if the base also keeps a distance for the size of the held object, bool [W]."""
     episode: Tensor
     """Number of the episode in the bank, int64 [W]."""
     steps: Tensor
     ended: Tensor
-    """True if the episode is over, so that the next step begins another, bool [W]."""
+    """True if the episode is over, so that the next step starts another, bool [W]."""
     way: Tensor
     """Length of the path to the stand [W] [m]."""
     towards: Tensor
-    """Direction (x, z) in which that path begins, of any length, [W, 2]."""
+    """Direction (x, z) in which the path to the stand starts, not normalised, [W, 2]."""
     apart: Tensor
     """Distance from the hand to the target [W] [m]."""
     folded: Tensor
-    """Distance from the hand to its resting place [W] [m]."""
+    """Distance from the hand to its resting position [W] [m]."""
     paid: Tensor
-    """True if the object has been at its goal, bool [W]."""
+    """True if the object being at its goal has been rewarded, bool [W]."""
     before_xz: Tensor
     before_heading: Tensor
     reward: Tensor
@@ -80,7 +80,7 @@ class SkillPlay(NamedTuple):
     terminated: Tensor
     """True if the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
-    """True if the skill had all its steps, bool [W]."""
+    """True if the skill reached its time limit, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
         """Return all tensors, in a fixed order."""
@@ -99,20 +99,20 @@ def _reaching(robot: Robot, bank: SkillBank) -> Array:
 
 
 class SkillContext(NamedTuple):
-    """Robots with a skill to learn in W worlds, as sensors read them (`sim_kinematic.sensing.table`)."""
+    """Data of robots with a skill to learn in W worlds, from which sensors read (`sim_kinematic.sensing.table`)."""
 
     play: SkillPlay
     grids: Grids
     """Grids of the worlds' floors."""
     hand: Hand
     target: Tensor
-    """Place of the target [W, 3] [m]."""
+    """World position of the target [W, 3] [m]."""
     resting: Tensor
-    """Resting place of the hand [W, 3] [m]."""
+    """Resting position of the hand [W, 3] [m]."""
 
     @property
     def xp(self) -> ModuleType:
-        """The array namespace."""
+        """Array namespace of the tensors."""
         return torch
 
     @property
@@ -122,17 +122,17 @@ class SkillContext(NamedTuple):
 
     @property
     def now(self) -> RobotTensors:
-        """Present state of the robots."""
+        """Current state of the robots."""
         return self.play.robot
 
     @property
     def before(self) -> Pose:
-        """Robots before the last step."""
+        """State of the robots before the last step."""
         return Pose(self.play.before_xz, self.play.before_heading)
 
     @property
     def arm(self) -> Tensor:
-        """Joints of the arm [W, n]."""
+        """Positions of the arm's joints [W, n] [rad or m]."""
         return self.play.joints
 
     @property
@@ -141,7 +141,7 @@ class SkillContext(NamedTuple):
         return self.play.held.clamp_max(ROBOT)[:, None]  # an empty hand holds object -1, which is nobody's number
 
     def path(self) -> tuple[Tensor, Tensor]:
-        """Return the shortest path to the stand: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
+        """Return the length of the shortest path to the stand [W] [m], and a point in its initial direction [W, 2]."""
         return self.play.way, self.play.robot.xz + self.play.towards
 
     def clearance(self, points: Tensor) -> Tensor:
@@ -154,7 +154,7 @@ class SkillContext(NamedTuple):
 
 
 class SkillTensors:
-    """W worlds, each in an episode of a bank; after its end, the next step begins the following episode."""
+    """W worlds, each in an episode of a bank, which start the following episode in the step after the end of one."""
 
     def __init__(
         self,
@@ -171,17 +171,17 @@ class SkillTensors:
         """Copy a bank of starts to the device.
 
         Args:
-            skill: which of the three skills.
+            skill: name of the skill (nav, pick or place).
             bank: episodes of the skill.
             device: device of all tensors.
             dtype: type of the state.
             robot: name of a built-in robot.
-            base: a task's rules for bases (default: `sim_kinematic.motion.spec.HOME_BASE`).
+            base: rules for bases (default: `sim_kinematic.motion.spec.HOME_BASE`).
             rules: rules of the skills.
             arm: rules of the arm.
 
         Raises:
-            InputError: the robot has no arm, or its base slides in a form that devices do not support.
+            InputError: the robot has no arm, or its base has rules of sliding that devices do not support.
         """
         self.skill, self.bank = skill, bank
         self.device, self.dtype = torch.device(device), dtype
@@ -222,7 +222,7 @@ class SkillTensors:
         return self.rules.nav_steps if self.skill == "nav" else self.rules.arm_steps
 
     def before_the_first(self, episode: Tensor) -> SkillPlay:
-        """Return worlds whose first step begins the episodes after ``episode`` [W]."""
+        """Return worlds whose first step starts the episodes after ``episode`` [W]."""
         worlds = len(episode)
 
         def numbers(*axes: int) -> Tensor:
@@ -259,8 +259,8 @@ class SkillTensors:
     def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
         """Return all worlds after ``action`` [W, n]; worlds that had ended are at the start of their next episode.
 
-        A step that does not look leaves the path to the stand as it was, and so what the robot has gained on it to the next one
-        that does: looking takes a third of the time.
+        A step without ``look`` does not update the path to the stand, so that progress on it is rewarded in the next
+        step with ``look``. The update takes a third of the time of a step.
         """
         fresh = play.ended
         begins = fresh[:, None]
@@ -398,11 +398,11 @@ class SkillTensors:
 
     # --- for those who look on ----------------------------------------------------------------------------------------
     def points(self, play: SkillPlay) -> Tensor:
-        """Return the positions or goals of targets, [W, 3] [m]."""
+        """Return the positions or goals of the target objects, [W, 3] [m]."""
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
-        """Return the numbers of the objects, [W]."""
+        """Return the numbers of the target objects, [W]."""
         return self._target[play.episode]
 
     def floors(self, play: SkillPlay) -> Tensor:
@@ -414,17 +414,17 @@ class SkillTensors:
         return self._reaching[play.episode]
 
     def reach(self, play: SkillPlay) -> Tensor:
-        """Return the distance of the targets from their stands, on the floor plane [W] [m]."""
+        """Return the horizontal distance of the targets from their stands [W] [m]."""
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
-        """Return how far joints are from a posture [n] or [W, n], as a share of the path between rest and reaching, [W]."""
+        """Return the distance of joints from a posture [n] or [W, n], as a share of that from rest to reaching, [W]."""
         whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
         return (play.joints - posture).abs().sum(-1) / whole
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
-        """Return observations without pictures, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
+        """Return observations without pictures, as in `sim_kinematic.policies.skills.observations`, float32 [W, ...].
 
         Raises:
             InputError: there is no such observation.
