@@ -74,8 +74,7 @@ def view(
 
 @command_of(view)
 class View:
-    """Write a recording as a Rerun file or as one HTML file that plays from disk: 3-D scene, moving bodies, charts,
-    events.
+    """Write a recording as a Rerun file or as one HTML file that plays from disk, with 3-D scene, charts and events.
 
     The HTML file needs no server, no network and no program but a browser: send it by mail or put it on a web page. A
     .png or .jpg file contains a strip: the moments of a rearrangement episode (picks, places, agents that cross) side
