@@ -38,8 +38,7 @@ def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
 
 
 def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]:
-    """Return furniture with receptacles: its names, the edges from which it is used, and their distances [m].
-    """
+    """Return furniture with receptacles: its names, the edges from which it is used, and their distances [m]."""
     import shapely
 
     from h3data.scene.freespace._footprints import shape_footprint

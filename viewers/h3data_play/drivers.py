@@ -151,8 +151,7 @@ class Driver:
 
     @property
     def offers(self) -> int:
-        """Return the flags of the postures that are possible now (`h3data_play.wire.SITS` and the flags after it).
-        """
+        """Return the flags of the postures that are possible now (`h3data_play.wire.SITS` and the flags after it)."""
         return 0
 
     def can_place(self, point: Any) -> str:
@@ -267,8 +266,7 @@ class SkillDriver(Driver):
         return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
 
     def door_before(self, point: Array) -> int:
-        """Return the closed door between the agent and the places from which it could reach a point [3] [m], or -1.
-        """
+        """Return the closed door between the agent and the places from which it could reach a point [3] [m], or -1."""
         team = self.session.play.team
         actor = team.actors[self.number]
         return team.door_before(actor, partial(actor.stands_on, point=point))
@@ -422,8 +420,7 @@ class PersonDriver(SkillDriver):
         return HandTarget(tuple(hand_points(frames, body)[0].tolist()), tuple(wrist.tolist()))
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Put the object in hand at a world point [3] [m]; with ``lead`` the person walks within reach first.
-        """
+        """Put the object in hand at a world point [3] [m]; with ``lead`` the person walks within reach first."""
         place = PlaceSkill(tuple(point.tolist()))
         if not lead:
             return self.do([place])
@@ -475,8 +472,7 @@ class RobotDriver(SkillDriver):
     """Driver of a robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
-        """Return the command that sends the next text message and restarts the running skill afterwards.
-        """
+        """Return the command that sends the next text message and restarts the running skill afterwards."""
         if self.runs:
             self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
         return super().speak()

@@ -64,8 +64,7 @@ ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
 
 def network(address: str) -> str:
-    """Return the part of an address that identifies a network: for IPv6 its first 64 bits.
-    """
+    """Return the part of an address that identifies a network: for IPv6 its first 64 bits."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

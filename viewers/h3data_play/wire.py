@@ -55,8 +55,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def pack_rotations(quats: NDArray[np.floating]) -> bytes:
-    """Pack quaternions xyzw [N, 4] in 32 bits each, with 10 bits per component (0.21 degrees).
-    """
+    """Pack quaternions xyzw [N, 4] in 32 bits each, with 10 bits per component (0.21 degrees)."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     sign = np.where(quats[rows, largest] < 0, -1.0, 1.0)
@@ -92,8 +91,7 @@ class PackedStep:
     """Positions of all doors and drawers [rad or m]."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
-        """Return the state for one player, with only the changed objects and joints unless it is ``whole``.
-        """
+        """Return the state for one player, with only the changed objects and joints unless it is ``whole``."""
         listed, joints = (self.objects, self.joints) if whole else (self.moved, self.turned)
         head = pack_head(flags, self.agents, len(listed), step, ack, clock_ms)
         return head + self.agent_bytes + listed.tobytes() + joints.tobytes()

@@ -444,8 +444,7 @@ class Worker:
         self.channel.send("told", key, [number, {"can": {"p": point, **reply}}])
 
     def pack(self, key: str, body: dict[str, str]) -> None:
-        """Send a finished recording to the front process, where packing it does not delay games.
-        """
+        """Send a finished recording to the front process, where packing it does not delay games."""
         del key
         if Path(body["path"]).is_file():  # else it has been deleted meanwhile
             pack_mcap(Path(body["path"]), share_in=body["share_in"])

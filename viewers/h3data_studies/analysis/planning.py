@@ -123,8 +123,7 @@ def plan_sessions(
 
 
 def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
-    """Return columns with one row per planned episode: participant, condition, scene, episode, block and trial.
-    """
+    """Return columns with one row per planned episode: participant, condition, scene, episode, block and trial."""
     rows = [
         (s.participant, b.condition, b.scene, e, k + 1, sum(len(x.episodes) for x in s.blocks[:k]) + j + 1)
         for s in sessions
