@@ -94,14 +94,14 @@ def box_part(center: ArrayLike, size: ArrayLike) -> Box:
 
 
 def cylinder_part(center: ArrayLike, radius: float, height: float) -> Cylinder:
-    """Build an upright collision cylinder by its centre."""
+    """Build an upright collision cylinder by its centre, radius and height [m]."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
 def surface(name: str, center: ArrayLike, size: ArrayLike, clearance: float) -> Receptacle:
-    """Build a receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
+    """Build a receptacle from the centre of its surface, its full size along x and z, and the free height above it [m]."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
     )
