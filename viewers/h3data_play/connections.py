@@ -132,7 +132,8 @@ def is_known(name: str, names: Iterable[str]) -> bool:
 
     Args:
         name: Host name, without port.
-        names: Names of the server in addition to loopback. ``*.example.org`` accepts any single label in place of ``*``.
+        names: Names of the server in addition to loopback. ``*.example.org`` accepts any single label in place of
+            ``*``.
     """
     name = name.lower().rstrip(".")
     try:

@@ -114,7 +114,8 @@ class WebServer:
             journal: journal of seats and games (default: the one in the plan's folder).
             seats_per_address: number of simultaneous seats for one network address.
             behind_proxy: whether the address is the one that a proxy names (``X-Forwarded-For``).
-            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has any first
+            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has
+                any first
                 label.
             clock: clock in seconds by which long absences are measured.
         """

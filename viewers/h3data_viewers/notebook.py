@@ -66,7 +66,8 @@ def show(
 
     Args:
         recording: The recording.
-        viewer: ``rerun`` (needs ``pip install "h3data[notebook]"``) or ``video``; None selects Rerun if it is installed.
+        viewer: ``rerun`` (needs ``pip install "h3data[notebook]"``) or ``video``; None selects Rerun if it is
+            installed.
         camera: Camera of the video: a name (`h3data.replay.camera_names`) or a file.
         width: Width [px] of the viewer or video.
         assets: Folders with the asset files of a foreign recording.

@@ -130,8 +130,10 @@ def contrasts(
 
     Args:
         means: Marginal means from `marginal_means`.
-        scale: ``link`` tests ratios (the better normal approximation); ``response`` tests differences of counts or rates.
-        adjust: ``tukey``: studentised range of all levels; ``holm``: step-down on the p values, Bonferroni for intervals.
+        scale: ``link`` tests ratios (the better normal approximation); ``response`` tests differences of counts or
+            rates.
+        adjust: ``tukey``: studentised range of all levels; ``holm``: step-down on the p values, Bonferroni for
+            intervals.
         confidence: Joint confidence of all intervals.
     """
     from scipy.special import ndtr, ndtri
