@@ -67,7 +67,7 @@ def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
 
     Args:
         path: MJCF file.
-        warn: Whether to log what is ignored, and the model's licence, in one line each.
+        warn: True to log ignored content, and the model's licence, in one line each.
 
     Raises:
         InputError: There is no such file.
