@@ -38,7 +38,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     workers: int = 1
     cert: str = ""
     key: str = ""
-    """Path of the private key of the TLS certificate, or empty."""
+    """Files of a TLS certificate (``cert``) and of its private key (``key``); empty for no TLS."""
     behind_proxy: bool = False
     """True if a proxy in front of the server terminates TLS and forwards the addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS

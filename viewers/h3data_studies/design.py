@@ -123,7 +123,7 @@ class Exclude(Record, frozen=True):
     of: Literal["participant", "trial"] = "participant"
     above: float | None = None
     below: float | None = None
-    """Limit below which participants or episodes are excluded; None for no lower limit."""
+    """Limits of the measure: participants or episodes above ``above`` or below ``below`` are excluded; None for no limit."""
 
 
 class Bonus(Record, frozen=True):

@@ -35,7 +35,7 @@ EFFORT = np.array([50.0, 4, 40, 2.0, 0.7, 2.5, 0.45, 0.45, 0.60, 1.2, 1.2])
 """Weights of pelvis shift (per shoulder height squared), pelvis turn, spine and collar."""
 UPPER = np.array([9.0, 9, 9, 1.40, 0.60, 0.20, 1.30, 0.65, 0.55, 0.35, 0.38])
 LOWER = np.array([-9.0, -9, -9, -0.12, -0.60, -0.20, -0.30, -0.65, -0.55, -0.35, -0.38])
-"""Lower limits of pelvis shift, pelvis turn, spine and collar [m, rad]."""
+"""Upper and lower limits of pelvis shift (shoulder heights), and of pelvis turn, spine and collar [rad]."""
 SHOULDER_EFFORT = np.array([0.10, 0.10, 0.10])
 ELBOW_EASE, ELBOW_EFFORT = 0.6, 0.04
 """Elbow flexion that costs no effort [rad], and effort beyond it."""

@@ -42,7 +42,7 @@ class Moment:
     score: float
     first: int
     last: int
-    """Last step of the moment, included."""
+    """First and last step of the moment, both included."""
 
 
 @dataclass(frozen=True, eq=False)
